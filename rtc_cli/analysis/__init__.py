@@ -1,0 +1,1 @@
+"""Analyses of cost: the time of one chunk per sampler."""
