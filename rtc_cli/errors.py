@@ -1,4 +1,4 @@
-"""Errors that a person can act on; the command line prints each as one line and exits with its code."""
+"""Errors that a person can act on; the command line prints one line and exits with their code."""
 
 import difflib
 from collections.abc import Iterable

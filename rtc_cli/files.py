@@ -33,8 +33,18 @@ _REASONS = {
 }
 
 
+def _read_umask() -> int:
+    # Read once at import: asking sets it for a moment, which other threads would see.
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
+
+
+_UMASK = _read_umask()
+
+
 def os_error(error: OSError, path: Path | str | None = None) -> StateError:
-    """Return the StateError that says in plain words what the system refused, and for which path."""
+    """Return the StateError that says in plain words what the system refused, and where."""
     where = path if path is not None else error.filename
     fallback = error.strerror or str(error) or type(error).__name__
     reason, hint = _REASONS.get(error.errno or 0, (fallback, ""))
@@ -162,9 +172,7 @@ def _files_in(folder: Path) -> list[str]:
 
 def _give_usual_mode(path: Path, mode: int) -> None:
     # mkstemp and mkdtemp make private files; others should read results as usual.
-    mask = os.umask(0)
-    os.umask(mask)
-    path.chmod(mode & ~mask)
+    path.chmod(mode & ~_UMASK)
 
 
 def _sync_folder(folder: Path) -> None:
