@@ -1,0 +1,1 @@
+"""Expert policies: trained by PPO on the task itself, they act in the demonstrations."""

@@ -1,0 +1,234 @@
+"""The pure part of PPO: advantages, loss and one whole update as a single program.
+
+Source: Schulman et al. 2017 (PPO), Schulman et al. 2016 (GAE), Rahman and Xue 2022 (RPO: noise
+on the mean in the update keeps the policy from narrowing too early).
+"""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from rtc_cli.experts.policy import Layers, mlp, normalise
+
+RATIO_CLIP = 0.2
+VALUE_WEIGHT = 0.5
+MAX_GRADIENT_NORM = 0.5
+ADAM_EPS = 1e-5
+
+
+@dataclass(frozen=True)
+class UpdateSettings:
+    """What an update depends on beside its data; hashable, a static argument."""
+
+    learning_rate: float
+    epochs: int
+    minibatches: int
+    gamma: float
+    gae_lambda: float
+    rpo_alpha: float
+    entropy_weight: float
+
+    def optimizer(self) -> optax.GradientTransformation:
+        return optax.chain(
+            optax.clip_by_global_norm(MAX_GRADIENT_NORM),
+            optax.adam(self.learning_rate, eps=ADAM_EPS),
+        )
+
+
+class Networks(NamedTuple):
+    """Trained parameters: mean of the policy, its log standard deviation (A,), the value."""
+
+    actor: Layers
+    log_std: jax.Array
+    critic: Layers
+
+
+class Statistics(NamedTuple):
+    """Running moments of observations: count (), mean (O,), variance (O,)."""
+
+    count: jax.Array
+    mean: jax.Array
+    variance: jax.Array
+
+    @property
+    def std(self) -> jax.Array:
+        return jnp.sqrt(self.variance + 1e-6)
+
+
+class Learner(NamedTuple):
+    """All that an update reads and writes."""
+
+    networks: Networks
+    optimizer: optax.OptState
+    statistics: Statistics
+    key: jax.Array
+
+
+class Rollout(NamedTuple):
+    """T ticks in N worlds. `next_obs` is what followed, before any reset.
+
+    obs, next_obs: (T, N, O); noise: (T, N, A) standard normals behind the actions; reward: (T, N);
+    terminal: (T, N) bool, nothing follows; done: (T, N) bool, the episode ends here (a timeout is
+    done but not terminal: its value is bootstrapped).
+    """
+
+    obs: jax.Array
+    noise: jax.Array
+    reward: jax.Array
+    next_obs: jax.Array
+    terminal: jax.Array
+    done: jax.Array
+
+
+class _Rows(NamedTuple):
+    x: jax.Array  # (R, O) normalised observations
+    u: jax.Array  # (R, A) actions before the squashing
+    log_prob: jax.Array  # (R,) when they were taken
+    advantage: jax.Array  # (R,)
+    target: jax.Array  # (R,) of the value
+
+
+def init_learner(
+    key: jax.Array,
+    obs_dim: int,
+    action_dim: int,
+    hidden: tuple[int, ...],
+    init_log_std: float,
+    settings: UpdateSettings,
+) -> Learner:
+    """Return a learner with orthogonal weights; the policy starts near mean zero."""
+    actor_key, critic_key, key = jax.random.split(key, 3)
+    networks = Networks(
+        actor=_init_mlp(actor_key, (obs_dim, *hidden, action_dim), last_gain=0.01),
+        log_std=jnp.full((action_dim,), init_log_std, jnp.float32),
+        critic=_init_mlp(critic_key, (obs_dim, *hidden, 1), last_gain=1.0),
+    )
+    statistics = Statistics(jnp.zeros(()), jnp.zeros(obs_dim), jnp.ones(obs_dim))
+    return Learner(networks, settings.optimizer().init(networks), statistics, key)
+
+
+def _init_mlp(key: jax.Array, sizes: tuple[int, ...], last_gain: float) -> Layers:
+    gains = [2.0**0.5] * (len(sizes) - 2) + [last_gain]
+    keys = jax.random.split(key, len(gains))
+    return tuple(
+        (jax.nn.initializers.orthogonal(gain)(k, (before, after)), jnp.zeros(after))
+        for k, gain, before, after in zip(keys, gains, sizes[:-1], sizes[1:], strict=True)
+    )
+
+
+def gae(
+    reward: jax.Array,
+    value: jax.Array,
+    next_value: jax.Array,
+    terminal: jax.Array,
+    done: jax.Array,
+    gamma: float,
+    gae_lambda: float,
+) -> jax.Array:
+    """Generalised advantage estimation over time, all arguments (T, N).
+
+    δ_t = r_t + γ (1 − terminal_t) V(next_t) − V_t;  A_t = δ_t + γ λ (1 − done_t) A_{t+1}.
+    """
+    delta = reward + gamma * jnp.where(terminal, 0.0, next_value) - value
+    decay = gamma * gae_lambda * (1.0 - done.astype(value.dtype))
+
+    def backwards(later: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        advantage = now[0] + now[1] * later
+        return advantage, advantage
+
+    _, advantages = jax.lax.scan(
+        backwards, jnp.zeros_like(delta[0]), (delta, decay), reverse=True, unroll=8
+    )
+    return advantages
+
+
+def merge(statistics: Statistics, obs: jax.Array) -> Statistics:
+    """Add observations (R, O) to running moments (Chan et al. 1979)."""
+    count = statistics.count + obs.shape[0]
+    shift = jnp.mean(obs, axis=0) - statistics.mean
+    share = obs.shape[0] / count
+    variance = (
+        (1.0 - share) * statistics.variance
+        + share * jnp.var(obs, axis=0)
+        + share * (1.0 - share) * shift**2
+    )
+    return Statistics(count, statistics.mean + share * shift, variance)
+
+
+@partial(jax.jit, static_argnames="settings")
+def update(
+    learner: Learner, rollout: Rollout, settings: UpdateSettings
+) -> tuple[Learner, dict[str, jax.Array]]:
+    """One PPO update: advantages, then epochs × minibatches in one scan.
+
+    T × N rows that do not fill the last minibatch are left out of that epoch. Metrics: `loss`
+    (its mean over the steps) and `finite` (bool: loss and parameters are).
+    """
+    rows = _prepare(learner, rollout, settings)
+    count = rows.log_prob.shape[0]
+    size = count // settings.minibatches
+    key, *epoch_keys = jax.random.split(learner.key, settings.epochs + 1)
+    orders = [jax.random.permutation(jax.random.fold_in(k, 0), count) for k in epoch_keys]
+    indices = jnp.stack(orders)[:, : size * settings.minibatches].reshape(-1, size)
+    step_keys = jnp.concatenate(
+        [jax.random.split(jax.random.fold_in(k, 1), settings.minibatches) for k in epoch_keys]
+    )
+    optimizer = settings.optimizer()
+
+    def step(
+        carry: tuple[Networks, optax.OptState], now: tuple[jax.Array, jax.Array]
+    ) -> tuple[tuple[Networks, optax.OptState], jax.Array]:
+        networks, state = carry
+        index, step_key = now
+        batch = jax.tree.map(lambda array: array[index], rows)
+        loss, gradient = jax.value_and_grad(_loss)(networks, batch, step_key, settings)
+        changes, state = optimizer.update(gradient, state, networks)
+        return (optax.apply_updates(networks, changes), state), loss
+
+    (networks, state), losses = jax.lax.scan(
+        step, (learner.networks, learner.optimizer), (indices, step_keys)
+    )
+    statistics = merge(learner.statistics, rollout.obs.reshape(-1, rollout.obs.shape[-1]))
+    leaves = jax.tree.leaves((networks, statistics, losses))
+    finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
+    return Learner(networks, state, statistics, key), {"loss": jnp.mean(losses), "finite": finite}
+
+
+def _prepare(learner: Learner, rollout: Rollout, settings: UpdateSettings) -> _Rows:
+    networks, statistics = learner.networks, learner.statistics
+    x = normalise(rollout.obs, statistics.mean, statistics.std)
+    next_x = normalise(rollout.next_obs, statistics.mean, statistics.std)
+    value = mlp(networks.critic, x)[..., 0]
+    next_value = mlp(networks.critic, next_x)[..., 0]
+    advantage = gae(
+        rollout.reward,
+        value,
+        next_value,
+        rollout.terminal,
+        rollout.done,
+        settings.gamma,
+        settings.gae_lambda,
+    )
+    u = mlp(networks.actor, x) + jnp.exp(networks.log_std) * rollout.noise
+    log_prob = -jnp.sum(0.5 * rollout.noise**2 + networks.log_std, axis=-1)
+    rows = _Rows(x, u, log_prob, advantage, advantage + value)
+    return jax.tree.map(lambda array: array.reshape(-1, *array.shape[2:]), rows)
+
+
+def _loss(networks: Networks, rows: _Rows, key: jax.Array, settings: UpdateSettings) -> jax.Array:
+    noise = jax.random.uniform(key, rows.u.shape, minval=-1.0, maxval=1.0)
+    mean = mlp(networks.actor, rows.x) + settings.rpo_alpha * noise
+    z = (rows.u - mean) * jnp.exp(-networks.log_std)
+    log_prob = -jnp.sum(0.5 * z**2 + networks.log_std, axis=-1)
+    ratio = jnp.exp(log_prob - rows.log_prob)
+    advantage = rows.advantage - jnp.mean(rows.advantage)
+    advantage = advantage / (jnp.std(advantage) + 1e-8)
+    clipped = jnp.clip(ratio, 1.0 - RATIO_CLIP, 1.0 + RATIO_CLIP)
+    policy_loss = -jnp.mean(jnp.minimum(ratio * advantage, clipped * advantage))
+    value_loss = 0.5 * jnp.mean((mlp(networks.critic, rows.x)[..., 0] - rows.target) ** 2)
+    entropy = jnp.sum(networks.log_std)  # of the Gaussian, up to a constant
+    return policy_loss + VALUE_WEIGHT * value_loss - settings.entropy_weight * entropy
