@@ -1,0 +1,469 @@
+"""A recipe: everything that decides what a run computes, typed, validated and hashable.
+
+Recipes are TOML files. Reading is strict: an unknown key, a wrong type or a value out of range is
+a UsageError that names the key, the value and the rule. The records here are frozen.
+"""
+
+import hashlib
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args, get_origin
+
+import tomli_w
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.files import os_error
+from rtc_cli.units import Rounding, parse_delays
+
+Mask = Literal["exp", "linear", "zeros", "ones"]
+
+Positive = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=0)]
+PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+def _read_delays(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(value)
+    if not isinstance(value, str):
+        return value
+    try:
+        return parse_delays(value)
+    except UsageError as error:
+        raise PydanticCustomError("delays", "{why}", {"why": f"{error}; {error.hint}"}) from None
+
+
+def _ascending(values: tuple[int, ...]) -> tuple[int, ...]:
+    if list(values) != sorted(set(values)):
+        raise ValueError("has to be increasing, each value once")
+    return values
+
+
+def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    if len(set(values)) != len(values):
+        raise ValueError("has to name each value once")
+    return values
+
+
+Delays = Annotated[
+    tuple[Count, ...], Field(min_length=1), BeforeValidator(_read_delays), Field(max_length=1000)
+]
+Seeds = Annotated[tuple[Count, ...], Field(min_length=1)]
+Names = Annotated[tuple[str, ...], Field(min_length=1)]
+
+
+class Section(BaseModel):
+    """Base of every record: frozen, and without unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class DelayConfig(Section):
+    """A distribution of simulated delays on a written-out support that contains 0 (§3).
+
+    `exponential`: P(d) proportional to exp(-rate d); `uniform`; `constant`: always `value`;
+    `weights`: one non-negative weight per value of the support.
+    """
+
+    kind: Literal["exponential", "uniform", "constant", "weights"] = "exponential"
+    support: Delays = (0, 1, 2, 3, 4)
+    rate: PositiveFloat = 1.0
+    value: Count | None = None
+    weights: tuple[NonNegativeFloat, ...] | None = None
+
+    @field_validator("support")
+    @classmethod
+    def _check_support(cls, support: tuple[int, ...]) -> tuple[int, ...]:
+        if 0 not in support:
+            raise ValueError("has to contain 0: an episode starts without a previous chunk")
+        return _ascending(support)
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> Self:
+        if self.kind == "constant" and self.value not in self.support:
+            raise ValueError(f"kind constant needs value, one of its support {self.support}")
+        if self.kind == "weights":
+            if self.weights is None or len(self.weights) != len(self.support):
+                raise ValueError(f"kind weights needs {len(self.support)} weights, as the support")
+            if sum(self.weights) <= 0:
+                raise ValueError("weights have to hold a positive number")
+        return self
+
+
+class ExpertsConfig(Section):
+    """PPO experts whose mixture makes the data."""
+
+    seeds: Seeds = (0, 1)
+    worlds: Positive = 256
+    rollout_ticks: Positive = 64
+    max_steps: Positive = 1_500_000
+    target_success: Share = 0.8
+    min_success: Share = 0.65
+    learning_rate: PositiveFloat = 1e-3
+    epochs: Positive = 4
+    minibatches: Positive = 8
+    gamma: Share = 0.995
+    gae_lambda: Share = 0.95
+    entropy: NonNegativeFloat = 0.0
+    rpo_alpha: NonNegativeFloat = 0.3
+    hidden: tuple[Positive, ...] = (128, 128)
+    init_log_std: Annotated[float, Field(ge=-10, le=3)] = 0.0
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        _unique(self.seeds)
+        if self.min_success > self.target_success:
+            raise ValueError(
+                f"min_success {self.min_success} is above target_success {self.target_success}, "
+                "at which an expert stops training"
+            )
+        if self.minibatches > self.worlds * self.rollout_ticks:
+            raise ValueError("minibatches exceeds worlds x rollout_ticks")
+        return self
+
+
+class DataConfig(Section):
+    """How much expert data: valid control steps per task and training seed."""
+
+    transitions: Positive = 65_000
+
+
+class NetworkConfig(Section):
+    """The velocity network's kind and sizes."""
+
+    kind: str = "mixer"
+    layers: Positive = 2
+    channels: Positive = 64
+    channel_hidden: Positive = 128
+    token_hidden: Positive = 32
+
+
+class TrainConfig(Section):
+    """Flow-matching training; the prefix policy takes the last `prefix_fraction` of the epochs."""
+
+    seeds: Seeds = (0,)
+    batch: Positive = 256
+    epochs: Positive = 21
+    learning_rate: PositiveFloat = 1e-3
+    weight_decay: NonNegativeFloat = 1e-2
+    warmup_steps: Count = 200
+    decay: Literal["linear_last_quarter", "constant"] = "linear_last_quarter"
+    grad_clip: PositiveFloat = 10.0
+    prefix_fraction: Annotated[float, Field(gt=0, le=1)] = 0.25
+    delays: DelayConfig = DelayConfig()
+
+    _check_seeds = field_validator("seeds")(_unique)
+
+
+class PinvConfig(Section):
+    """Settings of the guided samplers."""
+
+    mask: Mask = "exp"
+    max_guidance_weight: PositiveFloat = 5.0
+    prior_std: PositiveFloat = 1.0
+
+
+class TuneConfig(Section):
+    """A grid of guidance settings, tried on validation episodes before the evaluation."""
+
+    max_guidance_weight: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (
+        1.0,
+        5.0,
+        20.0,
+    )
+    prior_std: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (0.5, 1.0)
+    mask: Annotated[tuple[Mask, ...], Field(min_length=1)] = ("exp",)
+    episodes: Positive = 128
+    delays: Delays = (2, 4)
+    first_episode: Annotated[int, Field(ge=500_000, lt=900_000)] = 500_000
+
+
+class EvalConfig(Section):
+    """Which cells are evaluated; `episodes` is per training seed and cell."""
+
+    delays: Delays = (0, 1, 2, 3, 4)
+    protocols: Names = ("paper",)
+    methods: Names = ("naive", "pinv", "prefix")
+    episodes: Positive = 512
+    flow_steps: Positive = 5
+    seed: Count = 0
+    first_episode: Annotated[int, Field(ge=0, lt=400_000)] = 0
+    hold: Literal["last", "zero"] = "last"
+    matrix: bool = False
+    pinv: PinvConfig = PinvConfig()
+    tune: TuneConfig | None = None
+
+    _check_delays = field_validator("delays")(_ascending)
+    _check_methods = field_validator("methods")(_unique)
+
+    @field_validator("protocols")
+    @classmethod
+    def _check_protocols(cls, protocols: tuple[str, ...]) -> tuple[str, ...]:
+        for protocol in protocols:
+            if not re.fullmatch(r"paper|grid|fixed:[1-9]\d*", protocol):
+                raise ValueError(f'"{protocol}" is none of: paper, grid, fixed:S (as in fixed:4)')
+        return _unique(protocols)
+
+
+class ProfileConfig(Section):
+    """What `rtc run` profiles."""
+
+    samplers: Names = ("pinv", "prefix")
+    batch: Annotated[tuple[Positive, ...], Field(min_length=1)] = (1,)
+    rounds: Annotated[int, Field(ge=2)] = 50
+    hz: PositiveFloat = 30.0
+    rounding: Rounding = "ceil"
+
+
+class AblationConfig(Section):
+    """Training distributions to compare, forked from one shared base checkpoint."""
+
+    variants: dict[str, DelayConfig]
+    baseline: str
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if len(self.variants) < 2:
+            raise ValueError(f"needs at least 2 variants, not {len(self.variants)}")
+        for name in self.variants:
+            if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
+                raise ValueError(
+                    f'variant name "{name}" may hold letters, digits, "_", "." and "-"'
+                )
+        if self.baseline not in self.variants:
+            nearest = did_you_mean(self.baseline, self.variants)
+            raise ValueError(f'baseline "{self.baseline}" is no variant.{nearest}')
+        return self
+
+
+class Recipe(Section):
+    """Everything that decides what a run computes."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=80)]
+    description: str = ""
+    tasks: Names
+    horizon: Annotated[int, Field(ge=1, le=1000)] = 8
+    experts: ExpertsConfig = ExpertsConfig()
+    data: DataConfig = DataConfig()
+    network: NetworkConfig = NetworkConfig()
+    train: TrainConfig = TrainConfig()
+    eval: EvalConfig = EvalConfig()
+    profile: ProfileConfig = ProfileConfig()
+    ablation: AblationConfig | None = None
+
+    _check_tasks = field_validator("tasks")(_unique)
+
+    @model_validator(mode="after")
+    def _check_trained_delays(self) -> Self:
+        configs = {"train.delays": self.train.delays}
+        if self.ablation is not None:
+            configs |= {f"ablation.variants.{k}": v for k, v in self.ablation.variants.items()}
+        for where, config in configs.items():
+            if max(config.support) >= self.horizon:
+                raise ValueError(
+                    f"{where}.support reaches {max(config.support)}, but a chunk of horizon "
+                    f"{self.horizon} leaves nothing to learn from delay {self.horizon} on"
+                )
+        return self
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 (hex) of what is computed: name, description and formatting do not enter."""
+        return self.hash_of(*(set(type(self).model_fields) - {"name", "description"}))
+
+    def hash_of(self, *fields: str) -> str:
+        """SHA-256 (hex) of some top-level fields, for what depends on these alone."""
+        content = self.model_dump(mode="json", include=set(fields))
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def recipes_folder() -> Path:
+    """Return the folder of the shipped recipes: inside a wheel, or beside the package's sources."""
+    installed = Path(__file__).parent / "recipes"
+    return installed if installed.is_dir() else Path(__file__).parent.parent / "recipes"
+
+
+def list_recipes() -> tuple[str, ...]:
+    """Return the names of the shipped recipes, as "quickstart" or "ablations/..."."""
+    folder = recipes_folder()
+    files = folder.rglob("*.toml")
+    return tuple(sorted(file.relative_to(folder).with_suffix("").as_posix() for file in files))
+
+
+def find_recipe(name_or_path: str | Path) -> Path:
+    """Return the file of a shipped name or a path; UsageError with the nearest name."""
+    text = str(name_or_path)
+    if text in list_recipes():
+        return recipes_folder() / f"{text}.toml"
+    path = Path(text)
+    if path.is_file():
+        return path
+    if path.suffix == ".toml":
+        raise UsageError(f"recipe file {path} does not exist", "check the path")
+    raise UsageError(
+        f'unknown recipe "{text}".{did_you_mean(text, list_recipes())}',
+        "give one of these names or the path of a .toml file",
+    )
+
+
+def load_recipe(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Recipe:
+    """Read a recipe by shipped name or path; `overrides` are texts such as "train.epochs=8".
+
+    Raises UsageError for an unknown name, broken TOML (with its line), an unknown key or a bad
+    value; StateError where the file cannot be read.
+    """
+    path = find_recipe(name_or_path)
+    content = _read_toml(path)
+    content.setdefault("name", re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem))
+    for override in overrides:
+        _apply_override(content, override)
+    return recipe_from_dict(content, str(path))
+
+
+def recipe_from_dict(content: Mapping[str, Any], source: str = "recipe") -> Recipe:
+    """Validate a plain dictionary strictly; `source` names it in messages."""
+    try:
+        # JSON's strict mode is the wanted one: lists become tuples, but "8" is no integer.
+        return Recipe.model_validate_json(json.dumps(content, default=str), strict=True)
+    except ValidationError as error:
+        raise _usage_error(error, source) from None
+
+
+def recipe_to_toml(recipe: Recipe) -> str:
+    """Return the resolved recipe, defaults written out; reading it back gives an equal recipe."""
+    return tomli_w.dumps(recipe.model_dump(mode="json", exclude_none=True))
+
+
+def differing_keys(first: Recipe, second: Recipe) -> tuple[str, ...]:
+    """Return the dotted keys in which two recipes differ, name and description left out."""
+    one, two = (_flatten(recipe.model_dump(mode="json")) for recipe in (first, second))
+    keys = sorted(one.keys() | two.keys())
+    differing = (key for key in keys if one.get(key) != two.get(key))
+    return tuple(key for key in differing if key not in ("name", "description"))
+
+
+def _flatten(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            flat |= _flatten(value, f"{prefix}{key}.")
+        else:
+            flat[prefix + key] = value
+    return flat
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: broken TOML: {error}", "mend the file at that place") from None
+    except OSError as error:
+        raise os_error(error, path) from error
+
+
+def _usage_error(error: ValidationError, source: str) -> UsageError:
+    details = error.errors(include_url=False)
+    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    return UsageError(f"{source}: {_describe(details[0])}{more}", "mend the recipe or the --set")
+
+
+def _describe(detail: ErrorDetails) -> str:
+    keys = [str(part) for part in detail["loc"]]
+    where = ".".join(keys)
+    message = detail["msg"].removeprefix("Value error, ")
+    if detail["type"] == "extra_forbidden":
+        return f'unknown key "{where}".{did_you_mean(keys[-1], _keys_of(keys[:-1]))}'
+    if detail["type"] == "missing":
+        return f'"{where}" is missing; it has to be given'
+    value = json.dumps(detail["input"], default=str)
+    if isinstance(detail["input"], dict) or len(value) > 120:
+        return f"{where}: {message}" if where else message
+    return f"{where} = {value}: {message[0].lower()}{message[1:]}"
+
+
+def _keys_of(section: list[str]) -> tuple[str, ...]:
+    model = next(filter(_is_section, _alternatives(_annotation_at(section))), None)
+    return tuple(model.model_fields) if model is not None else ()
+
+
+def _apply_override(content: dict[str, Any], override: str) -> None:
+    key, separator, text = override.partition("=")
+    parts = key.strip().split(".")
+    if not separator or not all(parts):
+        raise UsageError(
+            f'cannot read the override "{override}"', 'write KEY=VALUE, as in "train.epochs=8"'
+        )
+    section = content
+    for depth, part in enumerate(parts[:-1], start=1):
+        section = section.setdefault(part, {})
+        if not isinstance(section, dict):
+            prefix = ".".join(parts[:depth])
+            raise UsageError(
+                f'cannot set "{key.strip()}": "{prefix}" is a value, not a section',
+                f'write "{prefix}=VALUE"',
+            )
+    section[parts[-1]] = _parse_value(text.strip(), _is_tuple(parts))
+
+
+def _parse_value(text: str, is_tuple: bool) -> Any:
+    """Read a value as TOML would; a bare word is a string; commas make a list where one is due."""
+    value = _parse_scalar(text)
+    if not is_tuple or isinstance(value, list) or value is None:
+        return value
+    if isinstance(value, str) and re.fullmatch(r"[\d\s,-]*\d-\d[\d\s,-]*", value):
+        return value  # ranges, as in "0,2-4", are read by the field itself
+    return [_parse_scalar(part.strip()) for part in text.split(",")]
+
+
+def _parse_scalar(text: str) -> Any:
+    if text.lower() in ("none", "null"):
+        return None
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _is_tuple(parts: list[str]) -> bool:
+    return any(get_origin(a) is tuple for a in _alternatives(_annotation_at(parts)))
+
+
+def _annotation_at(parts: list[str]) -> Any:
+    """Return the declared type at a dotted key, None where there is none."""
+    annotation: Any = Recipe
+    for part in parts:
+        alternatives = _alternatives(annotation)
+        model = next(filter(_is_section, alternatives), None)
+        mapping = next((a for a in alternatives if get_origin(a) is dict), None)
+        if model is not None and part in model.model_fields:
+            annotation = model.model_fields[part].annotation
+        elif mapping is not None:
+            annotation = get_args(mapping)[1]
+        else:
+            return None
+    return annotation
+
+
+def _alternatives(annotation: Any) -> tuple[Any, ...]:
+    is_plain = isinstance(annotation, type) or get_origin(annotation) in (tuple, dict)
+    return (annotation,) if is_plain else (annotation, *get_args(annotation))
+
+
+def _is_section(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, Section)
