@@ -1,0 +1,44 @@
+"""Flow matching: the path from noise to data, its target, the masked mean of squared errors."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+Velocity = Callable[[Float[Array, "B H A"], Float[Array, "B H"]], Float[Array, "B H A"]]
+"""velocity(x, tau): any function, with one flow time per token; what every sampler accepts."""
+
+
+def interpolate(
+    data: Float[Array, "..."], noise: Float[Array, "..."], tau: Float[Array, "..."]
+) -> Float[Array, "..."]:
+    """x_tau = tau * data + (1 - tau) * noise: tau = 0 is noise, tau = 1 is data.
+
+    At tau = 1 the result equals `data` (exactly, for finite noise).
+
+    >>> float(interpolate(jnp.float32(2.0), jnp.float32(-1.0), jnp.float32(0.5)))
+    0.5
+    """
+    return tau * data + (1 - tau) * noise
+
+
+def target_velocity(data: Float[Array, "..."], noise: Float[Array, "..."]) -> Float[Array, "..."]:
+    """u = data - noise, the derivative of `interpolate` by tau.
+
+    The loss equation of arXiv 2512.05964 prints the opposite sign; its Algorithm 1 has this one.
+    """
+    return data - noise
+
+
+def masked_mean_square(
+    error: Float[Array, "H B A"], counted: Bool[Array, "H B"]
+) -> Float[Array, ""]:
+    """Sum of squared errors of the counted tokens over their number of elements; 0 if none count.
+
+    The number is taken over the whole batch (tokens x action dims), so that with every token
+    counted the result is the ordinary mean. Errors of tokens that do not count may be anything,
+    NaN included.
+    """
+    squares = jnp.where(counted[..., None], jnp.square(error), 0.0)
+    elements = jnp.sum(counted) * error.shape[-1]
+    return jnp.sum(squares) / jnp.maximum(elements, 1)

@@ -1,0 +1,240 @@
+"""The vocabulary of samplers, and the loop that all of them share.
+
+A sampler is a table of token times and an update rule. The table's distinct flow times are known
+before any observation; in every Euler step each token has a row of it. Inside the loop arrays are
+token-major (H, B, A); a request and a chunk are batch-major (B, H, A).
+"""
+
+import abc
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from rtc_cli.core.flow import Velocity
+from rtc_cli.core.geometry import ChunkGeometry, known
+from rtc_cli.core.policy import PhysicalActions
+from rtc_cli.errors import UsageError
+
+TILE = 64
+"""Examples that pass through all steps together on a CPU: more would not fit its caches."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ChunkRequest:
+    """What a sampler is asked for; a pytree, so it may be an argument of `jax.jit`.
+
+    noise: (B, H, A) float32, the chunk at tau = 0, in normalised action space.
+    overlap: (B, H, A) float32, normalised: the unexecuted rest of the running chunk, overlap[:, 0]
+        being the action due at the start of inference. Ignored from index H - s on. None: there
+        is no previous chunk (only with delay 0); nothing guides then.
+    delay: int32 (B,), each at most geometry.delay, replaces it per example.
+    flow_steps: K, the number of Euler steps.
+
+    Raises TypeError for physical actions, UsageError for shapes, dtypes and concrete values that
+    do not fit; traced values are not checked.
+    """
+
+    geometry: ChunkGeometry
+    flow_steps: int = field(metadata={"static": True})
+    noise: Float[Array, "B H A"]
+    overlap: Float[Array, "B H A"] | None = None
+    delay: Int[Array, " B"] | None = None
+
+
+class Field(Protocol):
+    """A velocity field on a table of flow times: x (H, B, A), rows (#H, #B) -> (H, B, A)."""
+
+    def __call__(self, x: Float[Array, "H B A"], rows: Int[Array, "#H #B"]) -> Array: ...
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Problem:
+    """A checked request, token-major.
+
+    noise (H, B, A); overlap (H, B, A), zero from index H - s on, or None; delay () or (B,).
+    """
+
+    geometry: ChunkGeometry
+    flow_steps: int = field(metadata={"static": True})
+    noise: Float[Array, "H B A"]
+    overlap: Float[Array, "H B A"] | None
+    delay: Int[Array, "*B"]
+
+    @property
+    def prefix(self) -> Array:
+        """Which tokens are committed: bool (H, 1) or (H, B)."""
+        return jnp.arange(self.noise.shape[0])[:, None] < jnp.atleast_1d(self.delay)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Step:
+    """One Euler step: its index k, its flow time k/K, its length 1/K."""
+
+    index: Int[Array, ""]
+    tau: Float[Array, ""]
+    dt: float = field(metadata={"static": True})
+
+
+@dataclass(frozen=True)
+class Sampler(abc.ABC):
+    """Maps (velocity, request) to a chunk (B, H, A). Frozen and hashable; fields are settings."""
+
+    name: ClassVar[str]
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings by name."""
+        return dataclasses.asdict(self)
+
+    def times(self, flow_steps: int) -> np.ndarray:
+        """The table's distinct flow times (N,); row k is that of step k."""
+        return np.arange(flow_steps) / flow_steps
+
+    def start(self, problem: Problem) -> Float[Array, "H B A"]:
+        """The chunk before the first step."""
+        return problem.noise
+
+    @abc.abstractmethod
+    def update(
+        self, velocity: Field, x: Float[Array, "H B A"], step: Step, problem: Problem
+    ) -> Float[Array, "H B A"]:
+        """The chunk after one step."""
+
+    def __call__(
+        self, velocity: Velocity, request: ChunkRequest, *, unroll: bool = False
+    ) -> Float[Array, "B H A"]:
+        """Sample a chunk (B, H, A) float32.
+
+        `velocity(x (B, H, A), tau (B, H)) -> (B, H, A)` is any function; one that offers
+        `tabulate` (a policy's does) takes the fast path. `unroll` writes the steps out instead of
+        looping, for a compiler's cost analysis, which counts a loop's body once.
+        """
+        request = _checked(request)
+        times = jnp.asarray(self.times(request.flow_steps), jnp.float32)
+        if not hasattr(velocity, "tabulate"):
+            return self._solve(_Opaque(velocity, times), request, unroll)
+        table = velocity.tabulate(times)
+        batch = request.noise.shape[0]
+        if batch <= TILE or jax.default_backend() != "cpu":
+            return self._solve(table, request, unroll)
+        return self._solve_in_tiles(table, request, unroll)
+
+    def _solve(self, velocity: Field, request: ChunkRequest, unroll: bool) -> Array:
+        problem = _token_major(request)
+        count = request.flow_steps
+
+        def body(x: Array, index: Array) -> tuple[Array, None]:
+            step = Step(index, index.astype(jnp.float32) / count, 1 / count)
+            return self.update(velocity, x, step, problem), None
+
+        x, _ = jax.lax.scan(
+            body, self.start(problem), jnp.arange(count), unroll=count if unroll else 1
+        )
+        return jnp.swapaxes(x, 0, 1)
+
+    def _solve_in_tiles(self, table: Any, request: ChunkRequest, unroll: bool) -> Array:
+        batch = request.noise.shape[0]
+        tiles = -(-batch // TILE)
+
+        def split(leaf: Array) -> Array:
+            padding = [(0, tiles * TILE - batch)] + [(0, 0)] * (leaf.ndim - 1)
+            return jnp.pad(leaf, padding).reshape(tiles, TILE, *leaf.shape[1:])
+
+        def solve(parts: Any) -> Array:
+            observed, noise, overlap, delay = parts
+            tile = dataclasses.replace(request, noise=noise, overlap=overlap, delay=delay)
+            return self._solve(table.part(observed), tile, unroll)
+
+        parts = (table.observed, request.noise, request.overlap, request.delay)
+        chunks = jax.lax.map(solve, jax.tree.map(split, parts))
+        return chunks.reshape(tiles * TILE, *chunks.shape[2:])[:batch]
+
+
+@dataclass(frozen=True)
+class _Opaque:
+    """Any velocity function as a field on a table: each token's time is looked up."""
+
+    velocity: Velocity
+    times: Float[Array, " N"]
+
+    def __call__(self, x: Float[Array, "H B A"], rows: Int[Array, "#H #B"]) -> Array:
+        tau = jnp.broadcast_to(self.times[rows], x.shape[:2])
+        return jnp.swapaxes(self.velocity(jnp.swapaxes(x, 0, 1), tau.T), 0, 1)
+
+
+def _token_major(request: ChunkRequest) -> Problem:
+    geometry, noise = request.geometry, jnp.swapaxes(request.noise, 0, 1)
+    delay = jnp.asarray(geometry.delay if request.delay is None else request.delay)
+    overlap = request.overlap
+    if overlap is not None:
+        # What lies beyond the overlap is unknown (NaN, perhaps) and must not leak through 0 * x.
+        known_tokens = (jnp.arange(noise.shape[0]) < geometry.overlap)[:, None, None]
+        overlap = jnp.where(known_tokens, jnp.swapaxes(overlap, 0, 1), 0.0)
+    return Problem(geometry, request.flow_steps, noise, overlap, delay)
+
+
+def _checked(request: ChunkRequest) -> ChunkRequest:
+    steps = known(request.flow_steps)
+    if steps is None or steps < 1:
+        raise UsageError(
+            f"flow_steps {request.flow_steps!r} is not possible", "give an integer >= 1"
+        )
+    noise = _actions("noise", request.noise)
+    horizon = request.geometry.horizon
+    if noise.ndim != 3 or noise.shape[1] != horizon:
+        raise UsageError(f"noise has shape {noise.shape}, needed is (B, {horizon}, A)")
+    overlap = request.overlap
+    if overlap is not None:
+        overlap = _actions("overlap", overlap)
+        if overlap.shape != noise.shape:
+            raise UsageError(f"overlap has shape {overlap.shape}, noise {noise.shape}: must agree")
+    delay = _checked_delay(request, noise.shape[0])
+    longest = known(request.geometry.delay) if delay is None else _largest(delay)
+    if overlap is None and longest:
+        raise UsageError(
+            f"delay {longest} without an overlap: there is no committed action",
+            "give the previous chunk as overlap, or use delay 0",
+        )
+    return dataclasses.replace(request, noise=noise, overlap=overlap, delay=delay)
+
+
+def _actions(name: str, value: Any) -> Array:
+    if isinstance(value, PhysicalActions):
+        raise TypeError(
+            f"{name} is in physical units; samplers work on normalised actions:"
+            " use Normaliser.actions(...) first"
+        )
+    given = value if isinstance(value, jax.Array | np.ndarray) else np.asarray(value)
+    if given.dtype != np.float32:
+        raise UsageError(f"{name} has dtype {given.dtype}, needed is float32", "convert it")
+    return jnp.asarray(given)
+
+
+def _checked_delay(request: ChunkRequest, batch: int) -> Array | None:
+    if request.delay is None:
+        return None
+    delay = jnp.asarray(request.delay)
+    if delay.shape != (batch,) or not jnp.issubdtype(delay.dtype, jnp.integer):
+        raise UsageError(
+            f"delay has shape {delay.shape} and dtype {delay.dtype}, needed is int32 ({batch},)"
+        )
+    limit, largest = known(request.geometry.delay), _largest(delay)
+    if largest is not None and (int(delay.min()) < 0 or (limit is not None and largest > limit)):
+        raise UsageError(
+            f"per-example delays {np.asarray(delay).tolist()} must lie in 0..{limit}"
+            " (geometry.delay)",
+            "choose geometry.delay as the largest of them",
+        )
+    return delay.astype(jnp.int32)
+
+
+def _largest(delay: Array) -> int | None:
+    return None if isinstance(delay, jax.core.Tracer) else int(delay.max(initial=0))
