@@ -412,9 +412,9 @@ class Component:
 class Scene:
     """A complete task; everything that decides an episode is in here.
 
-    `bounds` (x_min, y_min, x_max, y_max): a goal-object body whose centre of gravity leaves them
+    `bounds` (x_min, y_min, x_max, y_max): a body with a goal-object shape whose origin leaves them
     fails the episode. `max_speed`, `max_spin`: velocities are clamped to them after every control
-    step. `noise`: standard deviation of the action noise, in the units of the actions.
+    step. `action_noise`: standard deviation of the noise, in the units of the actions.
     """
 
     name: str
@@ -470,6 +470,19 @@ class Scene:
     def body_index(self) -> dict[str, int]:
         """Name of a body -> its place in `bodies` and in state arrays."""
         return {body.name: i for i, body in enumerate(self.bodies)}
+
+    @cached_property
+    def moving(self) -> tuple[int, ...]:
+        """Places in `bodies` of those that can move."""
+        return tuple(i for i, body in enumerate(self.bodies) if not body.static)
+
+    @cached_property
+    def goal_bodies(self) -> tuple[int, ...]:
+        """Places, among the moving bodies, of those with a goal-object shape."""
+        moving = [self.bodies[i] for i in self.moving]
+        return tuple(
+            i for i, b in enumerate(moving) if any(s.role == Role.GOAL for s in b.shapes)
+        )
 
     @cached_property
     def components(self) -> tuple[Component, ...]:

@@ -1,0 +1,81 @@
+"""What a batch asks of the physics of its worlds, and the plain answer through pymunk's own API."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from rtc_cli.tasks.scene import STATE_SIZE, Role, Scene, StateArray
+from rtc_cli.tasks.world import Drives, World
+
+
+class Contact(NamedTuple):
+    """A goal object began to touch a target or a hazard in tick `tick` of row `row` of a run."""
+
+    row: int
+    tick: int
+    role: Role
+
+
+class Engine(Protocol):
+    """Physics of n worlds of one scene; states are (moving bodies, 6), float64."""
+
+    def reset(self, worlds: Sequence[int], states: StateArray) -> None:
+        """Start worlds (m) from states (m, moving, 6), as if their Spaces were new."""
+
+    def run(self, worlds: Sequence[int], actions: StateArray) -> tuple[StateArray, list[Contact]]:
+        """Step worlds (m) under applied actions (m, T, A): states (m, T, moving, 6), contacts.
+
+        The returned states are valid until the next call.
+        """
+
+    def set_velocities(self, world: int, state: StateArray) -> None:
+        """Overwrite the velocities of a running world with those in `state`."""
+
+    def rebuild(self, world: int) -> None:
+        """Throw the Space of a world away and make a new one."""
+
+
+class PublicEngine:
+    """Pymunk's public interface only, a new Space at every reset. Slow; the truth for tests."""
+
+    def __init__(self, scene: Scene, n: int) -> None:
+        self._scene = scene
+        self._drives = Drives.of(scene)
+        self._touched: list[Role] = []
+        self._worlds = [self._new() for _ in range(n)]
+
+    def _new(self) -> World:
+        return World(self._scene, self._touched.append)
+
+    def reset(self, worlds: Sequence[int], states: StateArray) -> None:
+        """Build new Spaces and place the bodies."""
+        for world, state in zip(worlds, states, strict=True):
+            self._worlds[world] = self._new()
+            self._worlds[world].place(state)
+
+    def run(self, worlds: Sequence[int], actions: StateArray) -> tuple[StateArray, list[Contact]]:
+        """Step world by world, tick by tick."""
+        rates = self._drives.rates(actions).tolist()
+        forces = self._drives.forces(actions).tolist()
+        moving = len(self._worlds[0].bodies)
+        log = np.empty((*actions.shape[:2], moving, STATE_SIZE))
+        contacts: list[Contact] = []
+        for row, index in enumerate(worlds):
+            world = self._worlds[index]
+            for tick in range(actions.shape[1]):
+                self._touched.clear()
+                world.tick(rates[row][tick], forces[row][tick])
+                world.read(log[row, tick])
+                contacts += [Contact(row, tick, role) for role in self._touched]
+        return log, contacts
+
+    def set_velocities(self, world: int, state: StateArray) -> None:
+        """Overwrite velocities."""
+        self._worlds[world].set_velocities(state)
+
+    def rebuild(self, world: int) -> None:
+        """Make a new Space."""
+        self._worlds[world] = self._new()

@@ -1,0 +1,221 @@
+"""Many worlds of one scene in this process: episodes, their random numbers, their ends.
+
+The physics (an `Engine`) only steps and logs. What a logged chunk means is decided here, for all
+worlds of a shard at once: the first tick that solves, fails, leaves the bounds or is not finite
+ends the episode. A chunk is executed world by world, so the rare world that exceeded a speed limit
+inside a chunk has gone too far; it is put back to its start and replayed tick by tick with the
+clamp in place. Results therefore do not depend on how ticks are cut into chunks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rtc_cli.errors import UsageError
+from rtc_cli.tasks.engine import Contact, Engine, PublicEngine
+from rtc_cli.tasks.randomness import action_noise, jitter_numbers
+from rtc_cli.tasks.scene import STATE_SIZE, FloatArray, Role, Scene, StateArray, Status
+
+# World-ticks that are stepped before their log is read: small enough to stay in the cache.
+SHARD_WORLDS = 64
+SHARD_TICKS = 512
+MAX_CHUNK = 16
+
+Index = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Record:
+    """What a call of `step` returns, one row per world that was asked.
+
+    obs (m, O) float32 after the last executed tick; status (m,) int8, see `Status`;
+    ticks (m,) int32 executed by this call (0 for worlds that had finished before).
+    """
+
+    obs: FloatArray
+    status: npt.NDArray[np.int8]
+    ticks: npt.NDArray[np.int32]
+
+
+class LocalBatch:
+    """n worlds of a scene, stepped by one engine."""
+
+    def __init__(self, scene: Scene, n: int, engine: Engine | None = None) -> None:
+        self.scene = scene
+        self.n = n
+        self.invalid_count = 0
+        self._engine = engine or PublicEngine(scene, n)
+        self._low = scene.action_low.astype(np.float64)
+        self._high = scene.action_high.astype(np.float64)
+        self._moving = list(scene.moving)
+        self.states = np.repeat(scene._declared_states[None], n, axis=0)
+        self.status = np.full(n, Status.TIMEOUT, np.int8)
+        self.tick = np.zeros(n, np.int32)
+        self._start = self.states.copy()
+        self._careful = np.zeros(n, bool)
+        self._noise = np.zeros((n, scene.max_ticks, scene.action_dim))
+        self._applied = np.zeros_like(self._noise)
+
+    def reset(self, seeds: npt.NDArray[np.int64], worlds: Index) -> FloatArray:
+        """Start episodes `seeds` (m,) in `worlds` (m,); observations (m, O)."""
+        numbers = np.stack([jitter_numbers(self.scene, int(seed)) for seed in seeds])
+        states = self.scene.initial_states(numbers)
+        for world, seed in zip(worlds, seeds, strict=True):
+            self._noise[world] = action_noise(self.scene, int(seed))
+        self._start[worlds] = states
+        self.states[worlds] = states
+        self.status[worlds] = Status.RUNNING
+        self.tick[worlds] = 0
+        self._careful[worlds] = False
+        self._engine.reset(worlds.tolist(), states[:, self._moving])
+        return self.scene.observe(states)
+
+    def step(self, actions: FloatArray, worlds: Index) -> Record:
+        """Run worlds (m,) open loop through actions (m, T, A), physical, without noise."""
+        before = self.tick[worlds].copy()
+        for first in range(0, actions.shape[1], MAX_CHUNK):
+            piece = actions[:, first : first + MAX_CHUNK].astype(np.float64)
+            rows = max(SHARD_WORLDS, SHARD_TICKS // piece.shape[1])
+            for at in range(0, len(worlds), rows):
+                self._step_shard(piece[at : at + rows], worlds[at : at + rows])
+        ticks = self.tick[worlds] - before
+        return Record(self.scene.observe(self.states[worlds]), self.status[worlds], ticks)
+
+    def _step_shard(self, actions: StateArray, worlds: Index) -> None:
+        """Split the running worlds of a shard by how many ticks they execute, and step them."""
+        left = self.scene.max_ticks - self.tick[worlds]
+        count = np.minimum(left, actions.shape[1])
+        running = self.status[worlds] == Status.RUNNING
+        careful = running & self._careful[worlds]
+        quick = running & ~careful
+        for ticks in np.unique(count[quick]).tolist():
+            rows = np.flatnonzero(quick & (count == ticks))
+            self._advance(actions[rows, :ticks], worlds[rows])
+        for row in np.flatnonzero(careful).tolist():
+            self._advance_carefully(actions[row : row + 1, : count[row]], worlds[row : row + 1])
+
+    def _advance(self, actions: StateArray, worlds: Index) -> None:
+        """Execute actions (m, T, A) in running worlds (m,) with T ticks left at least."""
+        at = self.tick[worlds][:, None] + np.arange(actions.shape[1])
+        noisy = actions + self._noise[worlds[:, None], at]
+        applied = np.clip(noisy, self._low, self._high)
+        self._applied[worlds[:, None], at] = applied
+        log, contacts = self._engine.run(worlds.tolist(), applied)
+        end, status, fast = self._read(log, contacts)
+        again = fast < np.minimum(end, actions.shape[1] - 1)
+        self._settle(log, end, status, worlds, ~again)
+        for row in np.flatnonzero(again).tolist():
+            world = worlds[row : row + 1]
+            self._replay(world)
+            self._advance_carefully(actions[row : row + 1], world)
+
+    def _advance_carefully(self, actions: StateArray, world: Index) -> None:
+        """Execute actions (1, T, A) in one world, tick by tick."""
+        for tick in range(actions.shape[1]):
+            if self.status[world[0]] != Status.RUNNING:
+                return
+            self._advance(actions[:, tick : tick + 1], world)
+
+    def _replay(self, world: Index) -> None:
+        """Bring one world back to the tick at which the current chunk began, and mark it."""
+        self._careful[world] = True
+        done = int(self.tick[world[0]])
+        start = self._start[world][:, self._moving]
+        self._engine.reset(world.tolist(), start)
+        for tick in range(done):
+            log, _ = self._engine.run(world.tolist(), self._applied[world, tick : tick + 1])
+            self._clamp(log[:, 0], world)
+
+    def _read(
+        self, log: StateArray, contacts: Sequence[Contact]
+    ) -> tuple[Index, npt.NDArray[np.int8], Index]:
+        """From states (m, T, moving, 6): end tick (T if none) and status; first tick too fast."""
+        rows, ticks = log.shape[:2]
+        solved = np.full(rows, ticks)
+        failed = self._first(self._outside(log))
+        for row, tick, role in contacts:
+            first = failed if role == Role.HAZARD else solved
+            first[row] = min(first[row], tick)
+        invalid = self._first(~np.isfinite(log).all(axis=(2, 3)))
+        end = np.minimum(np.minimum(solved, failed), invalid)
+        status = np.full(rows, Status.RUNNING, np.int8)
+        for value, first in (
+            (Status.SOLVED, solved),
+            (Status.FAILED, failed),
+            (Status.INVALID, invalid),
+        ):
+            status[(first == end) & (end < ticks)] = value
+        return end, status, self._first(self._too_fast(log).any(axis=2))
+
+    @staticmethod
+    def _first(flags: npt.NDArray[np.bool_]) -> Index:
+        """First true column (m,) of flags (m, T); T where there is none."""
+        return np.where(flags.any(axis=1), flags.argmax(axis=1), flags.shape[1])
+
+    def _too_fast(self, states: StateArray) -> npt.NDArray[np.bool_]:
+        """Which bodies exceed a limit; states (..., moving, 6)."""
+        square = states[..., 2] ** 2 + states[..., 3] ** 2
+        spin = np.abs(states[..., 5])
+        return (square > self.scene.max_speed**2) | (spin > self.scene.max_spin)
+
+    def _outside(self, log: StateArray) -> npt.NDArray[np.bool_]:
+        """Ticks (m, T) at which a goal object is out of bounds."""
+        if self.scene.bounds is None:
+            return np.zeros(log.shape[:2], bool)
+        low, high = np.array(self.scene.bounds).reshape(2, 2)
+        place = log[:, :, list(self.scene.goal_bodies), 0:2]
+        return ((place < low) | (place > high)).any(axis=(2, 3))
+
+    def _settle(
+        self,
+        log: StateArray,
+        end: Index,
+        status: npt.NDArray[np.int8],
+        worlds: Index,
+        keep: npt.NDArray[np.bool_],
+    ) -> None:
+        """Take over the outcome of rows `keep`: ticks, states, status, clamp, new Spaces."""
+        rows = np.flatnonzero(keep)
+        worlds, status = worlds[rows], status[rows]
+        last = np.minimum(end[rows], log.shape[1] - 1)
+        self.tick[worlds] += (last + 1).astype(np.int32)
+        late = (status == Status.RUNNING) & (self.tick[worlds] >= self.scene.max_ticks)
+        self.status[worlds] = np.where(late, Status.TIMEOUT, status)
+        states = log[rows, last]
+        self._clamp(states, worlds)
+        self.states[worlds[:, None], self._moving] = states
+        for world in worlds[status == Status.INVALID].tolist():
+            self._engine.rebuild(world)
+            self.invalid_count += 1
+
+    def _clamp(self, states: StateArray, worlds: Index) -> None:
+        """Limit the velocities of states (m, moving, 6), in place and in the physics."""
+        flags = self._too_fast(states)
+        for row in np.flatnonzero(flags.any(axis=1)).tolist():
+            state = states[row]
+            speed = np.sqrt(state[:, 2] ** 2 + state[:, 3] ** 2)
+            state[:, 2:4] *= np.minimum(1.0, self.scene.max_speed / np.maximum(speed, 1e-9))[:, None]
+            np.clip(state[:, 5], -self.scene.max_spin, self.scene.max_spin, out=state[:, 5])
+            self._engine.set_velocities(int(worlds[row]), state)
+
+
+def check_worlds(n: int, worlds: npt.ArrayLike | None) -> Index:
+    """Indices (m,) of the worlds that a call is about; refuse repeated or missing ones."""
+    if worlds is None:
+        return np.arange(n)
+    index = np.asarray(worlds)
+    if index.dtype == bool and index.shape == (n,):
+        return np.flatnonzero(index)
+    index = index.astype(np.intp).reshape(-1)
+    if len(index) and (index.min() < 0 or index.max() >= n):
+        raise UsageError(f"worlds {index.tolist()}: allowed are 0 to {n - 1}.")
+    if len(np.unique(index)) != len(index):
+        raise UsageError(f"worlds {index.tolist()}: each world may be named once.")
+    return index
+
+
+__all__ = ["STATE_SIZE", "LocalBatch", "Record", "check_worlds"]
