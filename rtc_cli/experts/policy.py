@@ -101,7 +101,7 @@ class ExpertPolicy:
 
     @staticmethod
     def load(folder: Path | str) -> "ExpertPolicy":
-        """Read an expert that `save` wrote; StateError where a file is missing, changed or foreign."""
+        """Read an expert that `save` wrote; StateError where a file is missing or changed."""
         folder = Path(folder)
         verify_checksums(folder, "expert")
         hint = f"remove {folder} and train the expert again"

@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import jax
@@ -23,6 +22,7 @@ from rtc_cli.experts.update import (
     Rollout,
     Statistics,
     UpdateSettings,
+    draw,
     init_learner,
     update,
 )
@@ -81,11 +81,11 @@ def train_expert(
     """
     started = time.perf_counter()
     settings = _settings(config)
-    learner_key, sampler_key = jax.random.split(jax.random.key(seed))
-    learner = _init_learner(learner_key, scene, config, settings)
+    random = np.random.Generator(np.random.Philox(seed))
+    learner = _init_learner(random, scene, config, settings)
     best, best_success, loss = _policy(learner, scene), 0.0, None
     with (make_worlds or _world_batch)(scene, config.worlds, workers) as worlds:
-        sampler = _Sampler(scene, worlds, config.worlds, seed, sampler_key)
+        sampler = _Sampler(scene, worlds, config.worlds, seed, random)
         while True:
             policy = _policy(learner, scene)
             rollout = sampler.rollout(policy, config.rollout_ticks)
@@ -96,7 +96,8 @@ def train_expert(
                 progress(_record(sampler, config, loss, started))
             if best_success >= config.target_success or sampler.steps >= config.max_steps:
                 break
-            learner, metrics = update(learner, rollout, settings)
+            draws = draw(random, rollout.reward.size, scene.action_dim, settings)
+            learner, metrics = update(learner, rollout, draws, settings)
             loss = _finite_loss(metrics, scene, seed, sampler.steps)
         steps, seconds = sampler.steps, time.perf_counter() - started
         return ExpertResult(best, sampler.measure(best), steps, seconds)
@@ -121,12 +122,10 @@ def _settings(config: "ExpertsConfig") -> UpdateSettings:
 
 
 def _init_learner(
-    key: jax.Array, scene: Scene, config: "ExpertsConfig", settings: UpdateSettings
+    random: np.random.Generator, scene: Scene, config: "ExpertsConfig", settings: UpdateSettings
 ) -> Learner:
-    hidden = tuple(config.hidden)
-    return init_learner(
-        key, scene.obs_dim, scene.action_dim, hidden, config.init_log_std, settings
-    )
+    sizes = (scene.obs_dim, scene.action_dim, tuple(config.hidden))
+    return init_learner(random, *sizes, config.init_log_std, settings)
 
 
 def _policy(learner: Learner, scene: Scene) -> ExpertPolicy:
@@ -167,21 +166,18 @@ def _record(
 _act = jax.jit(ExpertPolicy.act)
 
 
-@partial(jax.jit, static_argnums=(1,))
-def _noise(key: jax.Array, shape: tuple[int, ...]) -> jax.Array:
-    return jax.random.normal(key, shape)
-
-
 class _Sampler:
     """Worlds that act under a policy, each starting a new episode when its own has ended."""
 
-    def __init__(self, scene: Scene, worlds: Worlds, count: int, seed: int, key: jax.Array) -> None:
+    def __init__(
+        self, scene: Scene, worlds: Worlds, count: int, seed: int, random: np.random.Generator
+    ) -> None:
         self.scene, self.worlds, self.count = scene, worlds, count
         self.steps = 0
         self.episodes = 0
         self._recent: deque[bool] = deque(maxlen=max(RECENT_EPISODES, count))
         self._next_seed = FIRST_EPISODE_SEED + seed * SEEDS_PER_EXPERT
-        self._key = key
+        self._random = random
         self._obs = np.array(worlds.reset(self._seeds(count)), np.float32)
 
     @property
@@ -249,8 +245,8 @@ class _Sampler:
         )
 
     def _draw(self, ticks: int) -> np.ndarray:
-        self._key, key = jax.random.split(self._key)
-        return np.asarray(_noise(key, (ticks, self.count, self.scene.action_dim)))
+        shape = (ticks, self.count, self.scene.action_dim)
+        return self._random.standard_normal(shape, np.float32)
 
     def _seeds(self, count: int) -> np.ndarray:
         seeds = np.arange(self._next_seed, self._next_seed + count, dtype=np.int64)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from rtc_cli.experts.policy import Layers, mlp, normalise
@@ -65,7 +66,16 @@ class Learner(NamedTuple):
     networks: Networks
     optimizer: optax.OptState
     statistics: Statistics
-    key: jax.Array
+
+
+class Draws(NamedTuple):
+    """The randomness of one update, of S steps with R rows each, drawn outside the program.
+
+    index: (S, R) int32 rows of each minibatch; shift: (S, R, A) float32 uniform in [-1, 1] (RPO).
+    """
+
+    index: jax.Array
+    shift: jax.Array
 
 
 class Rollout(NamedTuple):
@@ -93,7 +103,7 @@ class _Rows(NamedTuple):
 
 
 def init_learner(
-    key: jax.Array,
+    random: np.random.Generator,
     obs_dim: int,
     action_dim: int,
     hidden: tuple[int, ...],
@@ -101,23 +111,42 @@ def init_learner(
     settings: UpdateSettings,
 ) -> Learner:
     """Return a learner with orthogonal weights; the policy starts near mean zero."""
-    actor_key, critic_key, key = jax.random.split(key, 3)
     networks = Networks(
-        actor=_init_mlp(actor_key, (obs_dim, *hidden, action_dim), last_gain=0.01),
-        log_std=jnp.full((action_dim,), init_log_std, jnp.float32),
-        critic=_init_mlp(critic_key, (obs_dim, *hidden, 1), last_gain=1.0),
+        actor=_init_mlp(random, (obs_dim, *hidden, action_dim), last_gain=0.01),
+        log_std=jnp.asarray(np.full(action_dim, init_log_std, np.float32)),
+        critic=_init_mlp(random, (obs_dim, *hidden, 1), last_gain=1.0),
     )
-    statistics = Statistics(jnp.zeros(()), jnp.zeros(obs_dim), jnp.ones(obs_dim))
-    return Learner(networks, settings.optimizer().init(networks), statistics, key)
+    start = (np.zeros(()), np.zeros(obs_dim), np.ones(obs_dim))
+    statistics = Statistics(*(jnp.asarray(array.astype(np.float32)) for array in start))
+    return Learner(networks, settings.optimizer().init(networks), statistics)
 
 
-def _init_mlp(key: jax.Array, sizes: tuple[int, ...], last_gain: float) -> Layers:
+def _init_mlp(random: np.random.Generator, sizes: tuple[int, ...], last_gain: float) -> Layers:
     gains = [2.0**0.5] * (len(sizes) - 2) + [last_gain]
-    keys = jax.random.split(key, len(gains))
-    return tuple(
-        (jax.nn.initializers.orthogonal(gain)(k, (before, after)), jnp.zeros(after))
-        for k, gain, before, after in zip(keys, gains, sizes[:-1], sizes[1:], strict=True)
-    )
+    layers = []
+    for gain, before, after in zip(gains, sizes[:-1], sizes[1:], strict=True):
+        square = random.standard_normal((max(before, after), min(before, after)))
+        columns, _ = np.linalg.qr(square)
+        weights = gain * (columns if before >= after else columns.T)
+        layers.append((jnp.asarray(weights, jnp.float32), jnp.zeros(after, jnp.float32)))
+    return tuple(layers)
+
+
+def draw(
+    random: np.random.Generator, rows: int, action_dim: int, settings: UpdateSettings
+) -> Draws:
+    """Draw the minibatches of every epoch and RPO's shifts of the mean.
+
+    Rows that do not fill the last minibatch are left out of that epoch. (NumPy, because compiling
+    XLA's sort takes longer than many updates.)
+    """
+    size = rows // settings.minibatches
+    orders = [
+        random.permutation(rows)[: size * settings.minibatches] for _ in range(settings.epochs)
+    ]
+    index = np.stack(orders).astype(np.int32).reshape(-1, size)
+    shift = 2.0 * random.random((*index.shape, action_dim), np.float32) - 1.0
+    return Draws(jnp.asarray(index), jnp.asarray(shift))
 
 
 def gae(
@@ -136,7 +165,9 @@ def gae(
     delta = reward + gamma * jnp.where(terminal, 0.0, next_value) - value
     decay = gamma * gae_lambda * (1.0 - done.astype(value.dtype))
 
-    def backwards(later: jax.Array, now: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+    def backwards(
+        later: jax.Array, now: tuple[jax.Array, jax.Array]
+    ) -> tuple[jax.Array, jax.Array]:
         advantage = now[0] + now[1] * later
         return advantage, advantage
 
@@ -161,41 +192,29 @@ def merge(statistics: Statistics, obs: jax.Array) -> Statistics:
 
 @partial(jax.jit, static_argnames="settings")
 def update(
-    learner: Learner, rollout: Rollout, settings: UpdateSettings
+    learner: Learner, rollout: Rollout, draws: Draws, settings: UpdateSettings
 ) -> tuple[Learner, dict[str, jax.Array]]:
     """One PPO update: advantages, then epochs × minibatches in one scan.
 
-    T × N rows that do not fill the last minibatch are left out of that epoch. Metrics: `loss`
-    (its mean over the steps) and `finite` (bool: loss and parameters are).
+    Metrics: `loss`, its mean over the steps, and `finite` (bool: loss and parameters are).
     """
     rows = _prepare(learner, rollout, settings)
-    count = rows.log_prob.shape[0]
-    size = count // settings.minibatches
-    key, *epoch_keys = jax.random.split(learner.key, settings.epochs + 1)
-    orders = [jax.random.permutation(jax.random.fold_in(k, 0), count) for k in epoch_keys]
-    indices = jnp.stack(orders)[:, : size * settings.minibatches].reshape(-1, size)
-    step_keys = jnp.concatenate(
-        [jax.random.split(jax.random.fold_in(k, 1), settings.minibatches) for k in epoch_keys]
-    )
     optimizer = settings.optimizer()
 
     def step(
-        carry: tuple[Networks, optax.OptState], now: tuple[jax.Array, jax.Array]
+        carry: tuple[Networks, optax.OptState], draws: Draws
     ) -> tuple[tuple[Networks, optax.OptState], jax.Array]:
         networks, state = carry
-        index, step_key = now
-        batch = jax.tree.map(lambda array: array[index], rows)
-        loss, gradient = jax.value_and_grad(_loss)(networks, batch, step_key, settings)
+        batch = jax.tree.map(lambda array: array[draws.index], rows)
+        loss, gradient = jax.value_and_grad(_loss)(networks, batch, draws.shift, settings)
         changes, state = optimizer.update(gradient, state, networks)
         return (optax.apply_updates(networks, changes), state), loss
 
-    (networks, state), losses = jax.lax.scan(
-        step, (learner.networks, learner.optimizer), (indices, step_keys)
-    )
+    (networks, state), losses = jax.lax.scan(step, (learner.networks, learner.optimizer), draws)
     statistics = merge(learner.statistics, rollout.obs.reshape(-1, rollout.obs.shape[-1]))
     leaves = jax.tree.leaves((networks, statistics, losses))
     finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
-    return Learner(networks, state, statistics, key), {"loss": jnp.mean(losses), "finite": finite}
+    return Learner(networks, state, statistics), {"loss": jnp.mean(losses), "finite": finite}
 
 
 def _prepare(learner: Learner, rollout: Rollout, settings: UpdateSettings) -> _Rows:
@@ -219,9 +238,8 @@ def _prepare(learner: Learner, rollout: Rollout, settings: UpdateSettings) -> _R
     return jax.tree.map(lambda array: array.reshape(-1, *array.shape[2:]), rows)
 
 
-def _loss(networks: Networks, rows: _Rows, key: jax.Array, settings: UpdateSettings) -> jax.Array:
-    noise = jax.random.uniform(key, rows.u.shape, minval=-1.0, maxval=1.0)
-    mean = mlp(networks.actor, rows.x) + settings.rpo_alpha * noise
+def _loss(networks: Networks, rows: _Rows, shift: jax.Array, settings: UpdateSettings) -> jax.Array:
+    mean = mlp(networks.actor, rows.x) + settings.rpo_alpha * shift
     z = (rows.u - mean) * jnp.exp(-networks.log_std)
     log_prob = -jnp.sum(0.5 * z**2 + networks.log_std, axis=-1)
     ratio = jnp.exp(log_prob - rows.log_prob)
