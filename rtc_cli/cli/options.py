@@ -1,0 +1,163 @@
+"""Options that several commands share: one name, one help text, one way to read each."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.units import Rounding
+
+
+def complete_recipe(incomplete: str) -> list[str]:
+    """Return the shipped recipes whose names begin so, for the shell's completion."""
+    from rtc_cli.recipe import list_recipes
+
+    return [name for name in list_recipes() if name.startswith(incomplete)]
+
+
+def complete_list(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Return a completion of the last name of a comma-separated list."""
+
+    def complete(incomplete: str) -> list[str]:
+        done, comma, last = incomplete.rpartition(",")
+        return [f"{done}{comma}{name}" for name in names() if name.startswith(last)]
+
+    return complete
+
+
+def _tasks() -> Iterable[str]:
+    from rtc_cli.tasks import list_tasks
+
+    return list_tasks()
+
+
+def _samplers() -> Iterable[str]:
+    from rtc_cli.samplers import list_samplers
+
+    return list_samplers()
+
+
+def _methods() -> Iterable[str]:
+    from rtc_cli.execution.methods import METHODS
+
+    return METHODS
+
+
+RecipeArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="[RECIPE]",
+        help="A shipped recipe's name or the path of a .toml file.",
+        autocompletion=complete_recipe,
+    ),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a recipe's value. Repeatable."),
+]
+RunOption = Annotated[
+    Path | None,
+    typer.Option("--run", metavar="DIR", help="Run folder.  [default: the newest in ./runs]"),
+]
+NewRunOption = Annotated[
+    Path | None,
+    typer.Option("--run", metavar="DIR", help="Run folder.  [default: ./runs/<recipe>-<UTC time>]"),
+]
+ResumeOption = Annotated[
+    bool, typer.Option("--resume", help="Go on with the newest run of this recipe.")
+]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON document on stdout instead of tables.")
+]
+TasksOption = Annotated[
+    str | None,
+    typer.Option(
+        "--tasks",
+        metavar="NAMES",
+        help="Tasks, comma-separated.  [default: the recipe's]",
+        autocompletion=complete_list(_tasks),
+    ),
+]
+DelaysOption = Annotated[
+    str | None,
+    typer.Option(
+        "--delays",
+        metavar="LIST",
+        help="Delays in control steps: integers and inclusive ranges, as in 0,2-4.  "
+        "[default: the recipe's]",
+    ),
+]
+MethodsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--methods",
+        metavar="NAMES",
+        help="Methods, comma-separated.  [default: the recipe's]",
+        autocompletion=complete_list(_methods),
+    ),
+]
+ProtocolOption = Annotated[
+    str | None,
+    typer.Option(
+        "--protocol",
+        metavar="paper|fixed:S|grid",
+        help="Execution horizon per delay: max(delay, 1), one S, or every legal one; "
+        "comma-separated for several.  [default: the recipe's]",
+    ),
+]
+EpisodesOption = Annotated[
+    int | None,
+    typer.Option(
+        "--episodes",
+        min=1,
+        metavar="N",
+        help="Episodes per training seed and cell.  [default: the recipe's]",
+    ),
+]
+FlowStepsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--flow-steps",
+        min=1,
+        metavar="K",
+        help="Euler steps of the flow per chunk.  [default: the recipe's]",
+    ),
+]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(
+        "--workers", min=1, metavar="N", help="Processes to use.  [default: one per core]"
+    ),
+]
+HzOption = Annotated[
+    float, typer.Option("--hz", min=1e-3, metavar="RATE", help="Control rate in Hz.")
+]
+RoundingOption = Annotated[
+    Rounding, typer.Option("--rounding", help="How a latency becomes whole control steps.")
+]
+
+
+def split_names(text: str) -> tuple[str, ...]:
+    """Split a comma-separated list; empty parts are left out, repeated names kept once."""
+    return tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+
+
+def check_names(names: Iterable[str], allowed: Iterable[str], what: str) -> tuple[str, ...]:
+    """Return the names; UsageError with the nearest allowed name for the first unknown one.
+
+    `what` is the singular in the message, as in "task".
+    """
+    names, allowed = tuple(names), tuple(allowed)
+    if not names:
+        raise UsageError(f"no {what} is named", f"name at least one of: {', '.join(allowed)}")
+    for name in names:
+        if name not in allowed:
+            raise UsageError(f'unknown {what} "{name}".{did_you_mean(name, allowed)}')
+    return names
+
+
+def read_names(text: str, allowed: Iterable[str], what: str) -> tuple[str, ...]:
+    """Read a comma-separated list of allowed names, as --tasks and --methods take it."""
+    return check_names(split_names(text), allowed, what)
