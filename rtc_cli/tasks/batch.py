@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rtc_cli.errors import UsageError
-from rtc_cli.tasks.local import LocalBatch, Record, check_worlds
+from rtc_cli.tasks.local import EngineName, LocalBatch, Record, check_worlds
 from rtc_cli.tasks.scene import FloatArray, Scene, StateArray
 
 
@@ -28,12 +28,14 @@ class WorldBatch:
     worlds, cutting into chunks, engine and number of workers do not matter.
     """
 
-    def __init__(self, scene: Scene, n: int, workers: int = 1) -> None:
+    def __init__(
+        self, scene: Scene, n: int, workers: int = 1, engine: EngineName = "auto"
+    ) -> None:
         if n < 1 or workers < 1:
             raise UsageError(f"{n} worlds with {workers} workers: both must be at least 1.")
         self.scene = scene
         self.n = n
-        self._batch = LocalBatch(scene, n)
+        self._batch = LocalBatch(scene, n, engine)
         self._started = np.zeros(n, bool)
 
     @property

@@ -10,6 +10,11 @@ import numpy as np
 from rtc_cli.tasks.scene import STATE_SIZE, Role, Scene, StateArray
 from rtc_cli.tasks.world import Drives, World
 
+# A run steps at most this many ticks, and at most this many world-ticks: few enough that what is
+# logged is read while it is still in the cache.
+MAX_CHUNK = 8
+SHARD_TICKS = 512
+
 
 class Contact(NamedTuple):
     """A goal object began to touch a target or a hazard in tick `tick` of row `row` of a run."""
@@ -28,7 +33,7 @@ class Engine(Protocol):
     def run(self, worlds: Sequence[int], actions: StateArray) -> tuple[StateArray, list[Contact]]:
         """Step worlds (m) under applied actions (m, T, A): states (m, T, moving, 6), contacts.
 
-        The returned states are valid until the next call.
+        T ≤ MAX_CHUNK and m · T ≤ SHARD_TICKS. The returned states are valid until the next call.
         """
 
     def set_velocities(self, world: int, state: StateArray) -> None:

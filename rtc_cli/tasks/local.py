@@ -11,21 +11,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from rtc_cli.errors import UsageError
-from rtc_cli.tasks.engine import Contact, Engine, PublicEngine
+from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.tasks import chipmunk
+from rtc_cli.tasks.engine import MAX_CHUNK, SHARD_TICKS, Contact, Engine, PublicEngine
 from rtc_cli.tasks.randomness import action_noise, jitter_numbers
-from rtc_cli.tasks.scene import STATE_SIZE, FloatArray, Role, Scene, StateArray, Status
-
-# World-ticks that are stepped before their log is read: small enough to stay in the cache.
-SHARD_WORLDS = 64
-SHARD_TICKS = 512
-MAX_CHUNK = 16
+from rtc_cli.tasks.scene import FloatArray, Role, Scene, StateArray, Status
 
 Index = npt.NDArray[np.intp]
+
+
+EngineName = Literal["auto", "fast", "public"]
+
+
+def make_engine(name: EngineName, scene: Scene, n: int) -> Engine:
+    """The engine `name`; "auto" is "fast" where this pymunk has what that needs."""
+    if name not in get_args(EngineName):
+        raise UsageError(f'unknown engine "{name}".' + did_you_mean(name, get_args(EngineName)))
+    if name == "fast" and chipmunk.MISSING:
+        lacking = ", ".join(chipmunk.MISSING)
+        raise UsageError(f'engine "fast" needs {lacking}, which this pymunk lacks; use "public".')
+    if name == "public" or chipmunk.MISSING:
+        return PublicEngine(scene, n)
+    return chipmunk.FastEngine(scene, n)
 
 
 @dataclass(frozen=True)
@@ -44,11 +56,11 @@ class Record:
 class LocalBatch:
     """n worlds of a scene, stepped by one engine."""
 
-    def __init__(self, scene: Scene, n: int, engine: Engine | None = None) -> None:
+    def __init__(self, scene: Scene, n: int, engine: EngineName = "auto") -> None:
         self.scene = scene
         self.n = n
         self.invalid_count = 0
-        self._engine = engine or PublicEngine(scene, n)
+        self._engine = make_engine(engine, scene, n)
         self._low = scene.action_low.astype(np.float64)
         self._high = scene.action_high.astype(np.float64)
         self._moving = list(scene.moving)
@@ -79,7 +91,7 @@ class LocalBatch:
         before = self.tick[worlds].copy()
         for first in range(0, actions.shape[1], MAX_CHUNK):
             piece = actions[:, first : first + MAX_CHUNK].astype(np.float64)
-            rows = max(SHARD_WORLDS, SHARD_TICKS // piece.shape[1])
+            rows = SHARD_TICKS // piece.shape[1]
             for at in range(0, len(worlds), rows):
                 self._step_shard(piece[at : at + rows], worlds[at : at + rows])
         ticks = self.tick[worlds] - before
@@ -216,6 +228,3 @@ def check_worlds(n: int, worlds: npt.ArrayLike | None) -> Index:
     if len(np.unique(index)) != len(index):
         raise UsageError(f"worlds {index.tolist()}: each world may be named once.")
     return index
-
-
-__all__ = ["STATE_SIZE", "LocalBatch", "Record", "check_worlds"]
