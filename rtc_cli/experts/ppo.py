@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ from rtc_cli.experts.update import (
     init_learner,
     update,
 )
+from rtc_cli.tasks.batch import WorldBatch
 from rtc_cli.tasks.scene import Scene, Status
 
 if TYPE_CHECKING:
@@ -36,16 +37,7 @@ SEEDS_PER_EXPERT = 10_000_000
 RECENT_EPISODES = 200  # success is judged over at least so many finished episodes
 
 
-class Worlds(Protocol):
-    """What training needs of `rtc_cli.tasks.batch.WorldBatch`."""
-
-    def __enter__(self) -> Self: ...
-    def __exit__(self, *error: Any) -> Any: ...
-    def reset(self, seeds: np.ndarray, worlds: np.ndarray | None = None) -> np.ndarray: ...
-    def step(self, actions: np.ndarray, worlds: np.ndarray | None = None) -> Any: ...
-
-
-WorldsFactory = Callable[[Scene, int, int], Worlds]  # (scene, count, workers)
+WorldsFactory = Callable[[Scene, int, int], WorldBatch]  # (scene, count, workers)
 
 
 @dataclass(frozen=True)
@@ -69,7 +61,7 @@ def train_expert(
     progress: Callable[[dict[str, Any]], None] | None = None,
     workers: int = 1,
     *,
-    make_worlds: WorldsFactory | None = None,
+    make_worlds: WorldsFactory = WorldBatch,
 ) -> ExpertResult:
     """Train one expert by PPO until it succeeds often enough or its steps are spent.
 
@@ -84,7 +76,7 @@ def train_expert(
     random = np.random.Generator(np.random.Philox(seed))
     learner = _init_learner(random, scene, config, settings)
     best, best_success, loss = _policy(learner, scene), 0.0, None
-    with (make_worlds or _world_batch)(scene, config.worlds, workers) as worlds:
+    with make_worlds(scene, config.worlds, workers) as worlds:
         sampler = _Sampler(scene, worlds, config.worlds, seed, random)
         while True:
             policy = _policy(learner, scene)
@@ -101,12 +93,6 @@ def train_expert(
             loss = _finite_loss(metrics, scene, seed, sampler.steps)
         steps, seconds = sampler.steps, time.perf_counter() - started
         return ExpertResult(best, sampler.measure(best), steps, seconds)
-
-
-def _world_batch(scene: Scene, count: int, workers: int) -> Worlds:
-    from rtc_cli.tasks.batch import WorldBatch
-
-    return WorldBatch(scene, count, workers=workers)
 
 
 def _settings(config: "ExpertsConfig") -> UpdateSettings:
@@ -170,7 +156,7 @@ class _Sampler:
     """Worlds that act under a policy, each starting a new episode when its own has ended."""
 
     def __init__(
-        self, scene: Scene, worlds: Worlds, count: int, seed: int, random: np.random.Generator
+        self, scene: Scene, worlds: WorldBatch, count: int, seed: int, random: np.random.Generator
     ) -> None:
         self.scene, self.worlds, self.count = scene, worlds, count
         self.steps = 0

@@ -49,9 +49,9 @@ class Networks(NamedTuple):
 
 
 class Statistics(NamedTuple):
-    """Running moments of observations: count (), mean (O,), variance (O,)."""
+    """Running moments of observations: total (), mean (O,), variance (O,)."""
 
-    count: jax.Array
+    total: jax.Array
     mean: jax.Array
     variance: jax.Array
 
@@ -71,10 +71,11 @@ class Learner(NamedTuple):
 class Draws(NamedTuple):
     """The randomness of one update, of S steps with R rows each, drawn outside the program.
 
-    index: (S, R) int32 rows of each minibatch; shift: (S, R, A) float32 uniform in [-1, 1] (RPO).
+    rows: (S, R) int32, the rows of each minibatch; shift: (S, R, A) float32, uniform in [-1, 1],
+    for RPO.
     """
 
-    index: jax.Array
+    rows: jax.Array
     shift: jax.Array
 
 
@@ -179,15 +180,15 @@ def gae(
 
 def merge(statistics: Statistics, obs: jax.Array) -> Statistics:
     """Add observations (R, O) to running moments (Chan et al. 1979)."""
-    count = statistics.count + obs.shape[0]
+    total = statistics.total + obs.shape[0]
     shift = jnp.mean(obs, axis=0) - statistics.mean
-    share = obs.shape[0] / count
+    share = obs.shape[0] / total
     variance = (
         (1.0 - share) * statistics.variance
         + share * jnp.var(obs, axis=0)
         + share * (1.0 - share) * shift**2
     )
-    return Statistics(count, statistics.mean + share * shift, variance)
+    return Statistics(total, statistics.mean + share * shift, variance)
 
 
 @partial(jax.jit, static_argnames="settings")
@@ -205,7 +206,7 @@ def update(
         carry: tuple[Networks, optax.OptState], draws: Draws
     ) -> tuple[tuple[Networks, optax.OptState], jax.Array]:
         networks, state = carry
-        batch = jax.tree.map(lambda array: array[draws.index], rows)
+        batch = jax.tree.map(lambda array: array[draws.rows], rows)
         loss, gradient = jax.value_and_grad(_loss)(networks, batch, draws.shift, settings)
         changes, state = optimizer.update(gradient, state, networks)
         return (optax.apply_updates(networks, changes), state), loss

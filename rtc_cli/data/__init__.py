@@ -1,0 +1,1 @@
+"""Demonstrations: episodes of experts on disk, and the action chunks cut from them."""
