@@ -115,7 +115,8 @@ class Sampler(abc.ABC):
 
         `velocity(x (B, H, A), tau (B, H)) -> (B, H, A)` is any function; one that offers
         `tabulate` (a policy's does) takes the fast path. `unroll` writes the steps out instead of
-        looping, for a compiler's cost analysis, which counts a loop's body once.
+        looping over them and over tiles, for a compiler's cost analysis, which counts a loop's
+        body once.
         """
         request = _checked(request)
         times = jnp.asarray(self.times(request.flow_steps), jnp.float32)
@@ -123,7 +124,7 @@ class Sampler(abc.ABC):
             return self._solve(_Opaque(velocity, times), request, unroll)
         table = velocity.tabulate(times)
         batch = request.noise.shape[0]
-        if batch <= TILE or jax.default_backend() != "cpu":
+        if unroll or batch <= TILE or jax.default_backend() != "cpu":
             return self._solve(table, request, unroll)
         return self._solve_in_tiles(table, request, unroll)
 
