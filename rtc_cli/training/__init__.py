@@ -1,0 +1,1 @@
+"""Training of flow policies: the optimisation loop and its checkpoints."""
