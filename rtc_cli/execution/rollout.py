@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -111,7 +111,12 @@ def evaluate_cell(
     """
     _check(scene, policy, geometry, episodes, hold, tile)
     maker = ChunkMaker(
-        policy, geometry, flow_steps=flow_steps, task=scene.name, eval_seed=eval_seed, tile=tile
+        policy,
+        _asked(geometry, method),
+        flow_steps=flow_steps,
+        task=scene.name,
+        eval_seed=eval_seed,
+        tile=tile,
     )
     sampler = method_sampler(method)
     with _worlds(scene, len(episodes), workers, worlds) as batch, ThreadPoolExecutor(1) as thread:
@@ -154,6 +159,11 @@ def _check(
             "one, each once",
             "give every episode number once",
         )
+
+
+def _asked(geometry: ChunkGeometry, method: Method) -> ChunkGeometry:
+    """What the sampler is asked for: a robot that waits executes nothing of its old chunk."""
+    return replace(geometry, delay=0) if method.schedule == "sync" else geometry
 
 
 @contextmanager
