@@ -36,12 +36,15 @@ _SYMBOLS = (
     "cpBodySetAngle",
     "cpBodySetAngularVelocity",
     "cpBodySetPosition",
+    "cpBodySetMoment",
     "cpBodySetVelocity",
     "cpConstraintSetMaxForce",
     "cpSimpleMotorSetRate",
+    "cpSpaceAddShape",
     "cpSpaceEachBody",
-    "cpSpaceSetCollisionPersistence",
+    "cpSpaceRemoveShape",
     "cpSpaceSetCurrentTimeStep",
+    "cpSpaceSetShapeIDCounter",
     "cpSpaceStep",
     "pmFloatArrayNew",
     "pmIntArrayNew",
@@ -73,6 +76,8 @@ class FastEngine:
         self._rates = np.zeros((n, MAX_CHUNK, motors))
         self._forces = np.zeros((n, MAX_CHUNK, thrusters, 2))
         self._start = np.zeros((n, moving, STATE_SIZE))
+        self._declared = scene.declared_states[list(scene.moving)]
+        self._declared[:, [2, 3, 5]] = 0.0
         # The Space's static body is logged too, after the moving ones.
         self._rows = moving + 1
         self._log = _SharedLog(SHARD_TICKS * self._rows * STATE_SIZE)
@@ -118,8 +123,13 @@ class FastEngine:
     def _compile(self, world: int) -> None:
         handles = _Handles(self._worlds[world])
         self._programs[world] = tuple(self._tick_calls(handles, world))
-        start = self._start[world]
-        self._resets[world] = (*_park_calls(handles), *_place_calls(handles, start))
+        calls = [
+            *_park_calls(handles),
+            *_renew_calls(handles, self._declared),
+            *_place_calls(handles, self._start[world]),
+            *((lib.cpSimpleMotorSetRate, motor, 0.0) for motor in handles.motors),
+        ]
+        self._resets[world] = tuple(calls)
 
     def _tick_calls(self, handles: _Handles, world: int) -> list[Call]:
         calls: list[Call] = []
@@ -143,11 +153,17 @@ class _Handles:
     def __init__(self, world: World) -> None:
         self.space = world.space._space
         self.bodies = [body._body for body in world.bodies]
+        # In the order in which they were added (a body's own collection of shapes has none).
+        self.shapes = [
+            [shape._shape for shape in world.space.shapes if shape.body is body]
+            for body in world.bodies
+        ]
+        self.fixed_shapes = sum(s.body is world.space.static_body for s in world.space.shapes)
+        self.moments = [body.moment for body in world.bodies]
         self.motors = [motor._constraint for motor in world.motors]
         # Motors are among the constraints.
         self.constraints = [(c._constraint, c.max_force) for c in world.space.constraints]
-        self.thrusters = [(b._body, ffi.new("cpVect *", p)[0]) for b, p in world.thrusters]
-        self.persistence = world.space.collision_persistence
+        self.thrusters = [(b._body, _vector(p)) for b, p in world.thrusters]
 
 
 class _SharedLog:
@@ -185,41 +201,59 @@ def _execute(programs: Any) -> None:
     deque(starmap(operator.call, chain.from_iterable(programs)), maxlen=0)
 
 
+def _vector(pair: tuple[float, float]) -> Any:
+    """A `cpVect` of its own."""
+    return ffi.new("cpVect *", pair)[0]
+
+
 def _vectors(array: StateArray) -> Any:
     """`cpVect` references into a contiguous array (k, 2)."""
     return ffi.from_buffer("cpVect[]", array) if array.size else ()
 
 
 def _park_calls(handles: _Handles) -> list[Call]:
-    """Forget everything a Space remembers of its past.
+    """Forget cached impulses: a minute step with bodies far apart and joints without force.
 
-    A minute step with bodies far apart and joints without force drops all contacts and cached
-    impulses; time step 0 makes the next step the first one.
+    The time step is set to 0 afterwards, as if the Space had never been stepped.
     """
-    space = handles.space
     calls: list[Call] = [(lib.cpConstraintSetMaxForce, c, 0.0) for c, _ in handles.constraints]
-    calls.append((lib.cpSpaceSetCollisionPersistence, space, 0))
     for i, body in enumerate(handles.bodies):
-        place = ffi.new("cpVect *", (_PARKING_M * (i + 1), -_PARKING_M))[0]
-        calls.append((lib.cpBodySetPosition, body, place))
-    calls.append((lib.cpSpaceStep, space, _PARKING_STEP_S))
+        calls.append((lib.cpBodySetPosition, body, _vector((_PARKING_M * (i + 1), -_PARKING_M))))
+    calls.append((lib.cpSpaceStep, handles.space, _PARKING_STEP_S))
     calls += [(lib.cpConstraintSetMaxForce, c, force) for c, force in handles.constraints]
-    calls.append((lib.cpSpaceSetCollisionPersistence, space, handles.persistence))
-    calls.append((lib.cpSpaceSetCurrentTimeStep, space, 0.0))
+    calls.append((lib.cpSpaceSetCurrentTimeStep, handles.space, 0.0))
     return calls
 
 
-def _place_calls(handles: _Handles, start: StateArray) -> list[Call]:
-    """Write the start state (moving bodies, 6) and stop the motors; angle before position."""
+def _renew_calls(handles: _Handles, declared: StateArray) -> list[Call]:
+    """Take the shapes of moving bodies out and put them back, at the declared pose.
+
+    That drops contacts, and rebuilds the tree in which Chipmunk looks for pairs: its form decides
+    the order in which contacts are solved, and so the last bits, and it remembers where the
+    bodies were before.
+    """
+    space = handles.space
+    calls: list[Call] = [
+        (lib.cpSpaceRemoveShape, space, shape) for shapes in handles.shapes for shape in shapes
+    ]
+    calls.append((lib.cpSpaceSetShapeIDCounter, space, handles.fixed_shapes))
+    calls += _place_calls(handles, declared)
+    for body, shapes, moment in zip(handles.bodies, handles.shapes, handles.moments, strict=True):
+        calls += [(lib.cpSpaceAddShape, space, shape) for shape in shapes]
+        calls.append((lib.cpBodySetMoment, body, moment))
+    return calls
+
+
+def _place_calls(handles: _Handles, states: StateArray) -> list[Call]:
+    """Write states (moving bodies, 6) as they are when called; angle before position."""
     calls: list[Call] = []
-    pairs = _vectors(start)
+    pairs = _vectors(states)
     per_body = STATE_SIZE // 2
     for i, body in enumerate(handles.bodies):
         calls += [
-            (lib.cpBodySetAngle, body, start[i, 4, ...]),
+            (lib.cpBodySetAngle, body, states[i, 4, ...]),
             (lib.cpBodySetPosition, body, pairs[i * per_body]),
             (lib.cpBodySetVelocity, body, pairs[i * per_body + 1]),
-            (lib.cpBodySetAngularVelocity, body, start[i, 5, ...]),
+            (lib.cpBodySetAngularVelocity, body, states[i, 5, ...]),
         ]
-    calls += [(lib.cpSimpleMotorSetRate, motor, 0.0) for motor in handles.motors]
     return calls

@@ -64,7 +64,7 @@ class LocalBatch:
         self._low = scene.action_low.astype(np.float64)
         self._high = scene.action_high.astype(np.float64)
         self._moving = list(scene.moving)
-        self.states = np.repeat(scene._declared_states[None], n, axis=0)
+        self.states = np.repeat(scene.declared_states[None], n, axis=0)
         self.status = np.full(n, Status.TIMEOUT, np.int8)
         self.tick = np.zeros(n, np.int32)
         self._start = self.states.copy()

@@ -526,13 +526,14 @@ class Scene:
 
     def initial_states(self, uniforms: StateArray) -> StateArray:
         """States (n, bodies, 6) from uniform numbers (n, jitters, 6) in [−1, 1]."""
-        states = np.repeat(self._declared_states[None], len(uniforms), axis=0)
+        states = np.repeat(self.declared_states[None], len(uniforms), axis=0)
         for k, jitter in enumerate(self.jitters):
             _apply_jitter(self, jitter, uniforms[:, k], states)
         return states
 
     @cached_property
-    def _declared_states(self) -> StateArray:
+    def declared_states(self) -> StateArray:
+        """States (bodies, 6) as declared, without jitter. Do not change."""
         rows = [(*b.position, *b.velocity, b.angle, b.angular_velocity) for b in self.bodies]
         return np.array(rows, np.float64).reshape(len(self.bodies), STATE_SIZE)
 

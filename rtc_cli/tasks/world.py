@@ -84,8 +84,10 @@ class World:
         self.space.gravity = scene.gravity
         self.space.damping = scene.damping
         self.space.collision_slop = COLLISION_SLOP_M
-        placed = {body.name: _add_body(self.space, body) for body in scene.bodies}
-        placed[WORLD] = self.space.static_body
+        placed = {WORLD: self.space.static_body}
+        # Immovable shapes first: a reset takes the others out and puts them back (chipmunk.py).
+        for body in sorted(scene.bodies, key=lambda body: not body.static):
+            placed[body.name] = _add_body(self.space, body)
         self.bodies = [placed[body.name] for body in scene.bodies if not body.static]
         for joint in scene.joints:
             self.space.add(*_constraints(placed, joint))
