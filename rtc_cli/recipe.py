@@ -179,8 +179,12 @@ class PinvConfig(Section):
 
 
 class TuneConfig(Section):
-    """A grid of guidance settings, tried on validation episodes before the evaluation."""
+    """A grid of guidance settings, tried on validation episodes before the evaluation.
 
+    `train_seed` is the development seed whose base policies they are tried on.
+    """
+
+    train_seed: Count = 90
     max_guidance_weight: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (
         1.0,
         5.0,
@@ -267,6 +271,16 @@ class Recipe(Section):
     ablation: AblationConfig | None = None
 
     _check_tasks = field_validator("tasks")(_unique)
+
+    @model_validator(mode="after")
+    def _check_tuning_seed(self) -> Self:
+        tune = self.eval.tune
+        if tune is not None and tune.train_seed in self.train.seeds:
+            raise ValueError(
+                f"eval.tune.train_seed {tune.train_seed} is one of train.seeds; tune on a seed "
+                "that is not evaluated"
+            )
+        return self
 
     @model_validator(mode="after")
     def _check_trained_delays(self) -> Self:

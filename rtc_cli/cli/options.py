@@ -46,7 +46,7 @@ def _methods() -> Iterable[str]:
 
 
 RecipeArgument = Annotated[
-    str,
+    str | None,
     typer.Argument(
         metavar="[RECIPE]",
         help="A shipped recipe's name or the path of a .toml file.",

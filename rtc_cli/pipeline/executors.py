@@ -1,8 +1,10 @@
-"""Runs the jobs of a plan in the order of their needs, in this process or in several.
+"""Runs the jobs of a plan in the order of their needs, in worker processes.
 
 A job is a picklable call that leaves its result in files, so a job that was interrupted is simply
 run again. Worker processes are spawned once and kept: each imports JAX and compiles a program only
-once. They ignore Ctrl-C (the parent decides) and leave when the parent is gone.
+once. They ignore Ctrl-C (the parent decides) and leave when the parent is gone. Several processes
+with one XLA thread each make better use of cores than one process with several threads: the
+networks are small.
 """
 
 from __future__ import annotations
@@ -59,41 +61,32 @@ class Silent:
         """Ignore."""
 
 
-def execute(jobs: Sequence[Job], *, workers: int = 1, listener: Listener | None = None) -> None:
-    """Run all jobs; the first error stops everything and is raised.
+def execute(
+    jobs: Sequence[Job],
+    *,
+    workers: int = 1,
+    threads: int | None = 1,
+    listener: Listener | None = None,
+) -> None:
+    """Run all jobs in worker processes; the first error stops everything and is raised.
 
     Args:
-        jobs: in order of preference; every name in ``needs`` belongs to an earlier job.
-        workers: processes; 1 runs the jobs in this process, one after another.
+        jobs: in order of preference. A need that is not the name of one of them is taken as met.
+        workers: processes.
+        threads: XLA threads of each worker; None leaves XLA its own choice.
         listener: hears about the plan, progress and ends.
     """
+    if not jobs:
+        return
     listener = listener or Silent()
     listener.planned(jobs)
-    if workers == 1 or len(jobs) <= 1:
-        _execute_here(jobs, listener)
-    else:
-        _execute_in_processes(jobs, workers, listener)
-
-
-def _execute_here(jobs: Sequence[Job], listener: Listener) -> None:
-    for job in jobs:
-        started = time.monotonic()
-
-        def progress(done: float, total: float, note: str, name: str = job.name) -> None:
-            listener.progress(name, done, total, note)
-
-        job.work(progress)
-        listener.finished(job.name, time.monotonic() - started)
-
-
-def _execute_in_processes(jobs: Sequence[Job], workers: int, listener: Listener) -> None:
     context = multiprocessing.get_context("spawn")
     messages: Any = context.Queue()
     pool = ProcessPoolExecutor(
         max_workers=min(workers, len(jobs)),
         mp_context=context,
         initializer=_start_worker,
-        initargs=(messages, os.getpid()),
+        initargs=(messages, os.getpid(), threads),
     )
     try:
         _schedule(pool, jobs, workers, messages, listener)
@@ -115,9 +108,9 @@ def _schedule(
 ) -> None:
     waiting = list(jobs)
     running: dict[Future[float], Job] = {}
-    done: set[str] = set()
+    open_names = {job.name for job in jobs}
     while waiting or running:
-        ready = [job for job in waiting if done.issuperset(job.needs)]
+        ready = [job for job in waiting if open_names.isdisjoint(job.needs)]
         for job in ready[: workers - len(running)]:
             waiting.remove(job)
             running[pool.submit(_work, job)] = job
@@ -126,7 +119,7 @@ def _schedule(
         for future in finished:
             job = running.pop(future)
             listener.finished(job.name, future.result())
-            done.add(job.name)
+            open_names.remove(job.name)
 
 
 def _pass_on(messages: Any, listener: Listener) -> None:
@@ -152,11 +145,11 @@ def _stop(pool: ProcessPoolExecutor) -> None:
 _messages: Any = None
 
 
-def _start_worker(messages: Any, parent: int) -> None:
+def _start_worker(messages: Any, parent: int, threads: int | None) -> None:
     global _messages
     _messages = messages
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    use_threads(1)
+    use_threads(threads)
     threading.Thread(target=_leave_with_parent, args=(parent,), daemon=True).start()
 
 

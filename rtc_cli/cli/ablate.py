@@ -1,0 +1,54 @@
+"""`rtc ablate`: which delays should be simulated in training?"""
+
+from __future__ import annotations
+
+import typer
+
+from rtc_cli.cli.live import run_jobs
+from rtc_cli.cli.options import (
+    JsonOption,
+    NewRunOption,
+    RecipeArgument,
+    ResumeOption,
+    SetOption,
+    WorkersOption,
+)
+from rtc_cli.cli.output import output
+from rtc_cli.cli.starting import start, worker_count
+
+app = typer.Typer()
+
+DEFAULT_ABLATION = "ablations/delay_distribution"
+
+
+@app.command(
+    epilog="Examples:  rtc ablate ablations/delay_distribution   |   "
+    "rtc ablate --set train.seeds=0,1 --set eval.episodes=256"
+)
+def ablate(
+    recipe: RecipeArgument = None,
+    set_: SetOption = None,
+    run: NewRunOption = None,
+    resume: ResumeOption = False,
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare distributions of delays simulated in training.
+
+    Experts, data and the base policy up to the fork are computed once; each variant goes on from
+    there. Without RECIPE: the run's own, or ablations/delay_distribution.
+    """
+    from rtc_cli.pipeline.plan import ablation_plan
+    from rtc_cli.report.page import build_ablation_report
+    from rtc_cli.report.render import render_ablation
+
+    with output(as_json) as out:
+        opened = start(recipe, set_, run, resume=resume, default=DEFAULT_ABLATION)
+        with opened.lock():
+            run_jobs(ablation_plan(opened), workers=worker_count(workers))
+            built = build_ablation_report(opened.folder)
+        out.result(
+            built.data | {"report": str(built.html)},
+            *render_ablation(built.data),
+            f"report: {built.html}",
+        )

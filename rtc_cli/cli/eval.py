@@ -1,0 +1,126 @@
+"""`rtc eval`: success under delay, for each way of hiding it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from rtc_cli.cli.live import run_jobs
+from rtc_cli.cli.options import (
+    DelaysOption,
+    EpisodesOption,
+    FlowStepsOption,
+    JsonOption,
+    MethodsOption,
+    ProtocolOption,
+    RunOption,
+    TasksOption,
+    WorkersOption,
+    read_names,
+    split_names,
+)
+from rtc_cli.cli.output import output
+from rtc_cli.cli.starting import worker_count
+from rtc_cli.errors import UsageError
+from rtc_cli.recipe import EvalConfig, Recipe
+from rtc_cli.units import parse_delays
+
+app = typer.Typer()
+
+
+@app.command(
+    name="eval",
+    epilog="Examples:  rtc eval --delays 0-4   |   "
+    "rtc eval --methods naive,prefix --protocol fixed:4   |   rtc eval --matrix --json",
+)
+def evaluate(
+    run: RunOption = None,
+    delays: DelaysOption = None,
+    methods: MethodsOption = None,
+    tasks: TasksOption = None,
+    protocol: ProtocolOption = None,
+    episodes: EpisodesOption = None,
+    flow_steps: FlowStepsOption = None,
+    seeds: Annotated[
+        str | None,
+        typer.Option(
+            "--seeds", metavar="LIST", help="Training seeds, as in 0,2-4.  [default: the recipe's]"
+        ),
+    ] = None,
+    hold: Annotated[
+        str | None,
+        typer.Option("--hold", metavar="last|zero", help="What sync executes while it waits."),
+    ] = None,
+    matrix: Annotated[
+        bool,
+        typer.Option("--matrix", help="Add {base, prefix} x {plain, pinv, prefix}."),
+    ] = False,
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure success under delay for each way of hiding it.
+
+    Evaluates a trained run's checkpoints; cells that the run already holds are not computed again.
+    Delays are control steps. Training seeds are the unit of replication of the differences.
+    """
+    from rtc_cli.cli.evaluated import evaluation_document, evaluation_tables, selected_episodes
+    from rtc_cli.pipeline.checks import check_evaluation
+    from rtc_cli.pipeline.plan import eval_plan
+    from rtc_cli.runs import newest_run, open_run
+
+    with output(as_json) as out:
+        opened = open_run(run) if run is not None else newest_run()
+        changes: dict[str, Any] = {
+            "delays": parse_delays(delays) if delays is not None else None,
+            "methods": _methods(methods),
+            "protocols": split_names(protocol) if protocol is not None else None,
+            "episodes": episodes,
+            "flow_steps": flow_steps,
+            "hold": hold,
+            "matrix": matrix or (None if methods is None else False),
+        }
+        config = _changed(opened.recipe, changes)
+        check_evaluation(config, opened.recipe.horizon)
+        chosen_tasks = _tasks(tasks, opened.recipe)
+        chosen_seeds = _seeds(seeds, opened.recipe)
+        with opened.lock():
+            jobs = eval_plan(opened, config, chosen_tasks, chosen_seeds)
+            run_jobs(jobs, workers=worker_count(workers))
+        rows = selected_episodes(opened, config, chosen_tasks, chosen_seeds)
+        out.result(evaluation_document(opened, rows), *evaluation_tables(rows))
+
+
+def _changed(recipe: Recipe, changes: dict[str, Any]) -> EvalConfig:
+    """Return the recipe's evaluation with the options in place, validated like a recipe."""
+    from rtc_cli.recipe import recipe_from_dict
+
+    content = recipe.model_dump(mode="json", exclude_none=True)
+    content["eval"] |= {name: value for name, value in changes.items() if value is not None}
+    if changes["methods"] is not None:
+        content["eval"].pop("tune", None)
+    return recipe_from_dict(content, "options").eval
+
+
+def _methods(text: str | None) -> tuple[str, ...] | None:
+    from rtc_cli.execution.methods import list_methods
+    from rtc_cli.pipeline.evaluation import TUNED
+
+    return None if text is None else read_names(text, (*list_methods(), TUNED), "method")
+
+
+def _tasks(text: str | None, recipe: Recipe) -> tuple[str, ...]:
+    return recipe.tasks if text is None else read_names(text, recipe.tasks, "task of this run")
+
+
+def _seeds(text: str | None, recipe: Recipe) -> tuple[int, ...]:
+    if text is None:
+        return recipe.train.seeds
+    wanted = parse_delays(text)
+    for seed in wanted:
+        if seed not in recipe.train.seeds:
+            raise UsageError(
+                f"training seed {seed} is not in this run",
+                f"its training seeds are {', '.join(map(str, recipe.train.seeds))}",
+            )
+    return wanted

@@ -1,0 +1,80 @@
+"""How evaluated episodes are shown: the tables of `eval` and `run`, and their JSON document."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rtc_cli.cli.output import document
+from rtc_cli.errors import StateError
+from rtc_cli.recipe import EvalConfig
+from rtc_cli.runs import Run
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from rich.console import RenderableType
+
+
+def selected_episodes(
+    run: Run, config: EvalConfig, tasks: tuple[str, ...], seeds: tuple[int, ...]
+) -> pd.DataFrame:
+    """Return the rows of a run that an evaluation with these settings asked for."""
+    from rtc_cli.pipeline.evaluation import TUNED, methods_of
+    from rtc_cli.report.inputs import load_episodes
+
+    rows = load_episodes(run.folder)
+    if rows.empty:
+        raise StateError(f"run {run.folder} holds no evaluated episodes", 'run "rtc eval" first')
+    names = {method.name for method in methods_of(config)}
+    if TUNED in config.methods or config.tune is not None:
+        names.add(TUNED)
+    first = config.first_episode
+    wanted = {
+        "task": tasks,
+        "train_seed": seeds,
+        "method": names,
+        "protocol": config.protocols,
+        "delay": config.delays,
+        "flow_steps": (config.flow_steps,),
+        "episode": range(first, first + config.episodes),
+    }
+    for column, values in wanted.items():
+        rows = rows[rows[column].isin(list(values))]
+    return rows
+
+
+def evaluation_document(run: Run, rows: pd.DataFrame) -> dict[str, Any]:
+    """Return the JSON document: rows, differences, D90 and the matrix."""
+    from rtc_cli.report.sections import compute
+    from rtc_cli.results import machine_record
+
+    results = compute(rows)
+    return document(
+        str(run.folder),
+        machine_record(),
+        results.summary,
+        differences=results.differences,
+        d90=results.d90,
+        matrix=results.matrix,
+    )
+
+
+def evaluation_tables(rows: pd.DataFrame) -> list[RenderableType]:
+    """Return the tables for people: success, paired differences, D90, the matrix."""
+    from rtc_cli.report import render
+    from rtc_cli.report.sections import compute
+    from rtc_cli.report.tables import ALL
+
+    results = compute(rows)
+    tables: list[RenderableType] = []
+    several = len(results.tasks) > 1
+    for task in [*results.tasks, ALL] if several else results.tasks:
+        tables.extend(render.render_summary(results.summary, task=task))
+    for protocol in results.protocols:
+        if results.differences and protocol != "grid":
+            task = ALL if several else results.tasks[0]
+            tables.append(render.render_differences(results.differences, protocol, task=task))
+        if results.matrix and protocol != "grid":
+            tables.append(render.render_matrix(results.matrix, protocol))
+    if results.d90:
+        tables.append(render.render_d90(results.d90))
+    return tables

@@ -1,0 +1,72 @@
+"""What a person sees while jobs run: bars on a terminal, a line per finished job elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rtc_cli.cli.output import progress
+from rtc_cli.pipeline.executors import Job, execute
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+
+def run_jobs(jobs: Sequence[Job], *, workers: int, threads: int | None = 1) -> None:
+    """Run jobs and show how they get on, on stderr."""
+    with progress() as bars:
+        listener = _Bars(bars) if sys.stderr.isatty() else _Lines()
+        execute(jobs, workers=workers, threads=threads, listener=listener)
+
+
+class _Bars:
+    """One bar for all jobs, and one for each that runs."""
+
+    def __init__(self, bars: Progress) -> None:
+        self.bars = bars
+        self.all: TaskID | None = None
+        self.running: dict[str, TaskID] = {}
+
+    def planned(self, jobs: Sequence[Job]) -> None:
+        """Show how many jobs there are."""
+        self.all = self.bars.add_task("jobs", total=len(jobs), note="")
+
+    def progress(self, job: str, done: float, total: float, note: str) -> None:
+        """Move a job's bar."""
+        if job not in self.running:
+            self.running[job] = self.bars.add_task(job, total=int(total), note=note)
+        self.bars.update(self.running[job], completed=int(done), total=int(total), note=note)
+
+    def finished(self, job: str, seconds: float) -> None:
+        """Remove a job's bar."""
+        if job in self.running:
+            self.bars.remove_task(self.running.pop(job))
+        if self.all is not None:
+            self.bars.update(self.all, advance=1, note=f"{job}: {seconds:.0f} s")
+
+
+class _Lines:
+    """For logs: a line per finished job."""
+
+    def __init__(self) -> None:
+        self.started = time.monotonic()
+        self.count = self.done = 0
+
+    def planned(self, jobs: Sequence[Job]) -> None:
+        """Remember how many jobs there are."""
+        self.count = len(jobs)
+
+    def progress(self, job: str, done: float, total: float, note: str) -> None:
+        """Say nothing before the end."""
+
+    def finished(self, job: str, seconds: float) -> None:
+        """Print the job, its seconds and the time since the start."""
+        self.done += 1
+        since = time.monotonic() - self.started
+        print(
+            f"[{since:6.0f} s] {self.done}/{self.count} {job}: {seconds:.1f} s",
+            file=sys.stderr,
+            flush=True,
+        )

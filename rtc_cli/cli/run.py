@@ -1,0 +1,54 @@
+"""`rtc run`: the whole job, from experts to the report."""
+
+from __future__ import annotations
+
+import typer
+
+from rtc_cli.cli.live import run_jobs
+from rtc_cli.cli.options import (
+    JsonOption,
+    NewRunOption,
+    RecipeArgument,
+    ResumeOption,
+    SetOption,
+    WorkersOption,
+)
+from rtc_cli.cli.output import output
+from rtc_cli.cli.starting import start, worker_count
+
+app = typer.Typer()
+
+
+@app.command(
+    epilog="Examples:  rtc run   |   rtc run standard --workers 2   |   rtc run standard --resume"
+)
+def run(
+    recipe: RecipeArgument = None,
+    set_: SetOption = None,
+    run: NewRunOption = None,
+    resume: ResumeOption = False,
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Do the whole job: train, evaluate under delay, profile, report.
+
+    Everything that the run already holds is kept: call it again with --resume, or with the same
+    --run folder, to go on after an interruption. Without RECIPE: the run's own, or quickstart.
+    """
+    from rtc_cli.cli.evaluated import evaluation_document, evaluation_tables, selected_episodes
+    from rtc_cli.pipeline.plan import profile_plan, run_plan
+    from rtc_cli.report.page import build_report
+
+    with output(as_json) as out:
+        opened = start(recipe, set_, run, resume=resume)
+        with opened.lock():
+            run_jobs(run_plan(opened), workers=worker_count(workers))
+            run_jobs(profile_plan(opened), workers=1, threads=None)
+            page = build_report(opened.folder).html
+        recipe_ = opened.recipe
+        rows = selected_episodes(opened, recipe_.eval, recipe_.tasks, recipe_.train.seeds)
+        out.result(
+            evaluation_document(opened, rows) | {"report": str(page)},
+            *evaluation_tables(rows),
+            f"report: {page}",
+        )

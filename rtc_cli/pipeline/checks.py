@@ -1,0 +1,34 @@
+"""Checks of a recipe against what exists: tasks, methods, samplers, networks, legal cells."""
+
+from __future__ import annotations
+
+from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.pipeline.evaluation import TUNED, cells_of, methods_of, tuning_cells
+from rtc_cli.recipe import EvalConfig, Recipe
+from rtc_cli.tasks import get_task
+
+
+def check_recipe(recipe: Recipe) -> None:
+    """Raise UsageError for the first name or cell that the installed parts do not know."""
+    from rtc_cli.core.policy import get_network
+    from rtc_cli.samplers import list_samplers
+
+    for task in recipe.tasks:
+        get_task(task)
+    get_network(recipe.network.kind)
+    for sampler in recipe.profile.samplers:
+        if sampler not in list_samplers():
+            raise UsageError(
+                f'unknown sampler "{sampler}".{did_you_mean(sampler, list_samplers())}'
+            )
+    check_evaluation(recipe.eval, recipe.horizon)
+
+
+def check_evaluation(config: EvalConfig, horizon: int) -> None:
+    """Raise UsageError for an unknown method or a cell that is not legal at this horizon."""
+    methods = methods_of(config)
+    if not methods and TUNED not in config.methods:
+        raise UsageError("no method is named", "name at least one, naive say")
+    cells_of(config, horizon, methods)
+    if config.tune is not None:
+        tuning_cells(config.tune, horizon)

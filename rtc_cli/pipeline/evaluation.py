@@ -1,0 +1,332 @@
+"""Evaluation of a run's checkpoints: which cells are wanted, which are missing, and tuning.
+
+A cell that is present is never computed again, under whatever method or protocol it is shown.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rtc_cli.errors import StateError
+from rtc_cli.execution.methods import METHODS, Method, get_method, get_methods
+from rtc_cli.files import write_json
+from rtc_cli.pipeline.executors import Progress
+from rtc_cli.pipeline.stages import PREFIX
+from rtc_cli.recipe import EvalConfig, TuneConfig
+from rtc_cli.runs import Run, open_run
+from rtc_cli.tasks import get_task
+
+if TYPE_CHECKING:
+    from rtc_cli.core.geometry import ChunkGeometry
+    from rtc_cli.core.policy import Policy
+    from rtc_cli.results import ResultStore
+
+TUNED = "pinv-tuned"
+"""pinv with the settings that did best on validation episodes of a development seed."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One point to evaluate: a method under a protocol at (H, s, d)."""
+
+    method: Method
+    protocol: str
+    geometry: ChunkGeometry
+
+
+@dataclass(frozen=True)
+class Target:
+    """Whose checkpoints are evaluated, on which episodes, and where the rows go."""
+
+    folder: Path
+    task: str
+    train_seed: int
+    store: Path
+    first_episode: int
+    episodes: int
+    flow_steps: int
+    eval_seed: int
+    hold: str = "last"
+    prefix_kind: str = PREFIX
+
+
+def episode_store(run: Run, variant: str = "") -> Path:
+    """Return the folder of a run's episodes; an ablation's variants have folders of their own."""
+    return run.results / "episodes" / variant if variant else run.results / "episodes"
+
+
+def methods_of(config: EvalConfig) -> tuple[Method, ...]:
+    """Return the methods of an evaluation, guided ones with the recipe's settings.
+
+    `pinv-tuned` is left out: its settings are known only once tuning has run (`tuned_method`).
+    """
+    names = [name for name in config.methods if name != TUNED]
+    return tuple(
+        _with_guidance(method, config) for method in get_methods(names, matrix=config.matrix)
+    )
+
+
+def _with_guidance(method: Method, config: EvalConfig) -> Method:
+    if method.sampler not in ("pinv", "pinv-detached"):
+        return method
+    return method.with_settings(name=method.name, **config.pinv.model_dump())
+
+
+def cells_of(config: EvalConfig, horizon: int, methods: Sequence[Method]) -> tuple[Cell, ...]:
+    """Return all cells of an evaluation; every one is checked before any is run."""
+    from rtc_cli.execution.protocols import protocol_cells
+
+    return tuple(
+        Cell(method, protocol, geometry)
+        for protocol in config.protocols
+        for geometry in protocol_cells(protocol, horizon, config.delays)
+        for method in methods
+    )
+
+
+def target_of(
+    run: Run, config: EvalConfig, task: str, train_seed: int, variant: str = ""
+) -> Target:
+    """Return what an evaluation with these settings runs on; `variant` is an ablation's."""
+    return Target(
+        folder=run.folder,
+        task=task,
+        train_seed=train_seed,
+        store=episode_store(run, variant),
+        first_episode=config.first_episode,
+        episodes=config.episodes,
+        flow_steps=config.flow_steps,
+        eval_seed=config.seed,
+        hold=config.hold,
+        prefix_kind=variant or PREFIX,
+    )
+
+
+def evaluate(target: Target, cells: Sequence[Cell], progress: Progress) -> None:
+    """Evaluate the cells that are missing, and label those that are there under another name."""
+    from rtc_cli.execution.rollout import SLOTS
+    from rtc_cli.results import ResultStore
+    from rtc_cli.tasks.batch import WorldBatch
+
+    store = ResultStore(target.store)
+    checkpoints = _Checkpoints(target)
+    scene = get_task(target.task)
+    missing = [cell for cell in cells if not _is_present(store, checkpoints, cell)]
+    if not missing:
+        return
+    with WorldBatch(scene, min(SLOTS, target.episodes)) as worlds:
+        for index, cell in enumerate(missing):
+            done = index * target.episodes
+            note = (
+                f"{cell.method.name}, d = {cell.geometry.delay}, s = {cell.geometry.exec_horizon}"
+            )
+
+            def on_episode(ended: int, _: int, done: int = done, note: str = note) -> None:
+                progress(done + ended, len(missing) * target.episodes, note)
+
+            on_episode(0, 0)
+            _evaluate_cell(store, checkpoints, cell, worlds, on_episode)
+
+
+class _Checkpoints:
+    """The two policies that a target's methods use, read once."""
+
+    def __init__(self, target: Target) -> None:
+        self.target = target
+        self.run = open_run(target.folder)
+        self.scene = get_task(target.task)
+        self._read: dict[str, tuple[Policy, str, tuple[int, ...] | None]] = {}
+
+    def get(self, kind: str) -> tuple[Policy, str, tuple[int, ...] | None]:
+        """Return the policy, its digest and the support of its simulated delays."""
+        if kind not in self._read:
+            self._read[kind] = self._load(self.target.prefix_kind if kind == "prefix" else kind)
+        return self._read[kind]
+
+    def _load(self, kind: str) -> tuple[Policy, str, tuple[int, ...] | None]:
+        from rtc_cli.training.checkpoints import Expected, load_policy, policy_digest, read_meta
+
+        folder = self.run.checkpoint(self.target.task, self.target.train_seed, kind)
+        if not folder.exists():
+            raise StateError(f"checkpoint {folder} is missing", 'run "rtc train" on this run first')
+        meta = read_meta(
+            folder,
+            expect=Expected(
+                task=self.target.task,
+                train_seed=self.target.train_seed,
+                horizon=self.run.recipe.horizon,
+                recipe_hash=self.run.recipe.content_hash,
+                scene_digest=self.scene.digest,
+            ),
+        )
+        policy = load_policy(folder)
+        support = tuple(meta.delays.support) if meta.delays is not None else None
+        return policy, policy_digest(policy), support
+
+    def key(self, cell: Cell) -> str:
+        """Return the content key of a cell."""
+        from rtc_cli.execution.inference import TILE
+        from rtc_cli.execution.rollout import method_sampler
+        from rtc_cli.results import cell_key
+
+        target, geometry = self.target, cell.geometry
+        return cell_key(
+            policy=self.get(cell.method.checkpoint)[1],
+            task=target.task,
+            scene=self.scene.digest,
+            sampler=cell.method.sampler,
+            settings=method_sampler(cell.method).settings,
+            horizon=geometry.horizon,
+            exec_horizon=int(geometry.exec_horizon),
+            delay=int(geometry.delay),
+            schedule=cell.method.schedule,
+            hold=target.hold,
+            flow_steps=target.flow_steps,
+            eval_seed=target.eval_seed,
+            first_episode=target.first_episode,
+            episodes=target.episodes,
+            tile=TILE,
+        )
+
+
+def _is_present(store: ResultStore, checkpoints: _Checkpoints, cell: Cell) -> bool:
+    key = checkpoints.key(cell)
+    return store.has(key, method=cell.method.name, protocol=cell.protocol)
+
+
+def _evaluate_cell(
+    store: ResultStore, checkpoints: _Checkpoints, cell: Cell, worlds: Any, progress: Any
+) -> None:
+    from rtc_cli.execution.rollout import evaluate_cell
+    from rtc_cli.results import relabel
+
+    target, key = checkpoints.target, checkpoints.key(cell)
+    policy, digest, support = checkpoints.get(cell.method.checkpoint)
+    rows = store.find(key)
+    if rows is None:
+        first = target.first_episode
+        rows = evaluate_cell(
+            checkpoints.scene,
+            policy,
+            cell.method,
+            cell.geometry,
+            flow_steps=target.flow_steps,
+            episodes=range(first, first + target.episodes),
+            eval_seed=target.eval_seed,
+            hold=target.hold,  # type: ignore[arg-type]
+            trained_support=support,
+            worlds=worlds,
+            progress=progress,
+        )
+    labels = {"method": cell.method.name, "protocol": cell.protocol}
+    store.append(key, relabel(rows, train_seed=target.train_seed, policy=digest, **labels))
+
+
+# -- tuning ----------------------------------------------------------------------------------
+
+
+def tuning_grid(config: TuneConfig) -> tuple[Method, ...]:
+    """Return pinv with every combination of the grid's settings."""
+    combinations = itertools.product(config.mask, config.max_guidance_weight, config.prior_std)
+    return tuple(
+        METHODS["pinv"].with_settings(
+            name=f"pinv[{mask},{weight:g},{std:g}]",
+            mask=mask,
+            max_guidance_weight=weight,
+            prior_std=std,
+        )
+        for mask, weight, std in combinations
+    )
+
+
+def tuning_cells(config: TuneConfig, horizon: int) -> tuple[Cell, ...]:
+    """Return the validation cells: every setting at every tuning delay, s = max(d, 1)."""
+    from rtc_cli.execution.protocols import protocol_cells
+
+    return tuple(
+        Cell(method, "paper", geometry)
+        for geometry in protocol_cells("paper", horizon, config.delays)
+        for method in tuning_grid(config)
+    )
+
+
+def tuning_target(run: Run, config: TuneConfig, task: str) -> Target:
+    """Return what tuning runs on: the development seed's base, validation episodes."""
+    return Target(
+        folder=run.folder,
+        task=task,
+        train_seed=config.train_seed,
+        store=run.results / "validation",
+        first_episode=config.first_episode,
+        episodes=config.episodes,
+        flow_steps=run.recipe.eval.flow_steps,
+        eval_seed=run.recipe.eval.seed,
+    )
+
+
+def choose_tuned(folder: Path, progress: Progress) -> None:
+    """Keep the settings with the best mean success over tasks and tuning delays.
+
+    Ties go to the setting that comes first in the grid. Writes `results/tuned.json`.
+    """
+    from rtc_cli.results import ResultStore
+
+    run = open_run(folder)
+    config = _tune_config(run)
+    rows = ResultStore(run.results / "validation").load()
+    per_cell = rows.groupby(["method", "task", "delay"])["solved"].mean()
+    success = per_cell.groupby("method").mean()
+    grid = {method.name: method for method in tuning_grid(config)}
+    ranked = [
+        {"settings": dict(method.settings), "success": float(success[name])}
+        for name, method in grid.items()
+    ]
+    best = max(ranked, key=lambda entry: float(entry["success"]))  # type: ignore[arg-type]
+    write_json(
+        tuned_path(run),
+        {
+            "method": TUNED,
+            "settings": best["settings"],
+            "success": best["success"],
+            "grid": ranked,
+            "train_seed": config.train_seed,
+            "first_episode": config.first_episode,
+            "episodes": config.episodes,
+            "delays": list(config.delays),
+            "tasks": list(run.recipe.tasks),
+        },
+    )
+
+
+def tuned_path(run: Run) -> Path:
+    """Return the file that holds the chosen settings."""
+    return run.results / "tuned.json"
+
+
+def tuned_method(run: Run) -> Method:
+    """Return pinv with the tuned settings; StateError before tuning."""
+    path = tuned_path(run)
+    if not path.is_file():
+        raise StateError(
+            f'method "{TUNED}" has no settings yet: {path} is missing',
+            'give the recipe an [eval.tune] section and run it with "rtc run"',
+        )
+    settings = json.loads(path.read_text(encoding="utf-8"))["settings"]
+    return get_method("pinv").with_settings(name=TUNED, **settings)
+
+
+def evaluate_tuned(target: Target, config: EvalConfig, progress: Progress) -> None:
+    """Evaluate `pinv-tuned` in every cell of an evaluation."""
+    run = open_run(target.folder)
+    evaluate(target, cells_of(config, run.recipe.horizon, (tuned_method(run),)), progress)
+
+
+def _tune_config(run: Run) -> TuneConfig:
+    if run.recipe.eval.tune is None:
+        raise StateError(f'the recipe "{run.recipe.name}" has no [eval.tune] section')
+    return run.recipe.eval.tune

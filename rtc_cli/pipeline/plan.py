@@ -1,0 +1,162 @@
+"""The jobs of a run and the order of their needs.
+
+Jobs come in the order in which they should start. What a recipe's stages share is one job: experts
+belong to a task, data and the fork to a training seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import product
+
+from rtc_cli.pipeline import evaluation, profiling, stages
+from rtc_cli.pipeline.executors import Job
+from rtc_cli.recipe import EvalConfig
+from rtc_cli.runs import Run
+
+EXPERTS, DATA, TRAINING, TUNING, EVALUATION, PROFILE = (
+    "experts",
+    "data",
+    "training",
+    "tuning",
+    "evaluation",
+    "profile",
+)
+
+
+def run_plan(run: Run) -> list[Job]:
+    """Return the jobs of `rtc run` but for the profile, which must not share the machine."""
+    return [*train_plan(run), *_tuning(run), *eval_plan(run, run.recipe.eval, run.recipe.tasks)]
+
+
+def train_plan(run: Run) -> list[Job]:
+    """Return the jobs of `rtc train`: experts, data, and both checkpoints of every seed."""
+    return [
+        *_experts(run),
+        *_bases(run, run.recipe.train.seeds),
+        *_policies(run, run.recipe.train.seeds, (stages.PREFIX,)),
+    ]
+
+
+def ablation_plan(run: Run) -> list[Job]:
+    """Return the jobs of `rtc ablate`: the variants go on from one fork per training seed."""
+    recipe = run.recipe
+    variants = tuple(recipe.ablation.variants) if recipe.ablation is not None else ()
+    jobs = [
+        *_experts(run),
+        *_data_and_forks(run, recipe.train.seeds),
+        *_policies(run, recipe.train.seeds, variants),
+    ]
+    return [*jobs, *_variant_evaluations(run, variants)]
+
+
+def _variant_evaluations(run: Run, variants: Sequence[str]) -> list[Job]:
+    """Return one job per variant; methods of the base policy have no part in an ablation."""
+    config = run.recipe.eval
+    methods = [m for m in evaluation.methods_of(config) if m.checkpoint == "prefix"]
+    cells = evaluation.cells_of(config, run.recipe.horizon, methods)
+    jobs: list[Job] = []
+    for task, seed, variant in product(run.recipe.tasks, run.recipe.train.seeds, variants):
+        target = evaluation.target_of(run, config, task, seed, variant)
+        name = f"evaluate {variant} · {task} · seed {seed}"
+        work = partial(evaluation.evaluate, target, cells)
+        jobs.append(Job(name, EVALUATION, work, (_policy_name(task, seed, variant),)))
+    return jobs
+
+
+def eval_plan(
+    run: Run, config: EvalConfig, tasks: Sequence[str], seeds: Sequence[int] | None = None
+) -> list[Job]:
+    """Return one job per task and training seed for all methods, and one for `pinv-tuned`."""
+    cells = evaluation.cells_of(config, run.recipe.horizon, evaluation.methods_of(config))
+    tuned = evaluation.TUNED in config.methods or config.tune is not None
+    jobs: list[Job] = []
+    for task, seed in product(tasks, run.recipe.train.seeds if seeds is None else seeds):
+        target = evaluation.target_of(run, config, task, seed)
+        needs = (_policy_name(task, seed, "base"), _policy_name(task, seed, stages.PREFIX))
+        jobs.append(
+            Job(
+                f"evaluate · {task} · seed {seed}",
+                EVALUATION,
+                partial(evaluation.evaluate, target, cells),
+                needs,
+            )
+        )
+        if tuned:
+            jobs.append(
+                Job(
+                    f"evaluate tuned · {task} · seed {seed}",
+                    EVALUATION,
+                    partial(evaluation.evaluate_tuned, target, config),
+                    (*needs, _CHOOSE),
+                )
+            )
+    return jobs
+
+
+def profile_plan(run: Run) -> list[Job]:
+    """Return the one job that times the samplers; nothing else may run beside it."""
+    return [Job("profile", PROFILE, partial(profiling.profile, run.folder))]
+
+
+def _experts(run: Run) -> list[Job]:
+    return [
+        Job(
+            f"expert · {task} · seed {seed}",
+            EXPERTS,
+            partial(stages.train_expert, run.folder, task, seed),
+        )
+        for task, seed in product(run.recipe.tasks, run.recipe.experts.seeds)
+    ]
+
+
+def _data_and_forks(run: Run, seeds: Sequence[int]) -> list[Job]:
+    jobs: list[Job] = []
+    for task, seed in product(run.recipe.tasks, seeds):
+        experts = tuple(f"expert · {task} · seed {expert}" for expert in run.recipe.experts.seeds)
+        data = f"data · {task} · seed {seed}"
+        collect = partial(stages.collect_data, run.folder, task, seed)
+        jobs.append(Job(data, DATA, collect, experts))
+        jobs.append(_policy(run, task, seed, "fork", data))
+    return jobs
+
+
+def _bases(run: Run, seeds: Sequence[int]) -> list[Job]:
+    return [*_data_and_forks(run, seeds), *_policies(run, seeds, ("base",))]
+
+
+def _policies(run: Run, seeds: Sequence[int], kinds: Sequence[str]) -> list[Job]:
+    return [
+        _policy(run, task, seed, kind, _policy_name(task, seed, "fork"))
+        for task, seed, kind in product(run.recipe.tasks, seeds, kinds)
+    ]
+
+
+def _policy(run: Run, task: str, seed: int, kind: str, need: str) -> Job:
+    work = partial(stages.train_policy, run.folder, task, seed, kind)
+    return Job(_policy_name(task, seed, kind), TRAINING, work, (need,))
+
+
+def _policy_name(task: str, seed: int, kind: str) -> str:
+    return f"{kind} · {task} · seed {seed}"
+
+
+_CHOOSE = "choose pinv's settings"
+
+
+def _tuning(run: Run) -> list[Job]:
+    config = run.recipe.eval.tune
+    if config is None:
+        return []
+    cells = evaluation.tuning_cells(config, run.recipe.horizon)
+    jobs = _bases(run, (config.train_seed,))
+    names = []
+    for task in run.recipe.tasks:
+        name = f"tune pinv · {task}"
+        target = evaluation.tuning_target(run, config, task)
+        need = (_policy_name(task, config.train_seed, "base"),)
+        jobs.append(Job(name, TUNING, partial(evaluation.evaluate, target, cells), need))
+        names.append(name)
+    choose = partial(evaluation.choose_tuned, run.folder)
+    return [*jobs, Job(_CHOOSE, TUNING, choose, tuple(names))]
