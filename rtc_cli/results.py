@@ -141,7 +141,7 @@ class ResultStore:
         method, protocol, train_seed = labels.iloc[0]
         path = self.folder / f"{key}.{_slug(method)}.{_slug(protocol)}.seed-{train_seed}.parquet"
         buffer = io.BytesIO()
-        pq.write_table(table, buffer, compression="zstd")
+        pq.write_table(table, buffer, compression="zstd", write_page_checksum=True)
         write_bytes(path, buffer.getvalue())
         return path
 
@@ -190,11 +190,8 @@ def _to_table(rows: pd.DataFrame) -> pa.Table:
         table = pa.Table.from_pandas(
             rows[list(EPISODE_COLUMNS)], schema=EPISODE_SCHEMA, preserve_index=False
         )
-    except pa.ArrowException as error:
+    except (ValueError, pa.ArrowException) as error:
         raise StateError(f"episode rows do not match their schema: {error}") from error
-    for column in EPISODE_SCHEMA:
-        if not column.nullable and table[column.name].null_count:
-            raise StateError(f'episode rows: column "{column.name}" must not be null')
     # Only the schema's own metadata: pandas would add its version, and bytes would differ.
     return table.replace_schema_metadata(EPISODE_SCHEMA.metadata)
 
@@ -202,12 +199,13 @@ def _to_table(rows: pd.DataFrame) -> pa.Table:
 def _read(path: Path) -> pd.DataFrame:
     hint = "remove the file and evaluate again: only this cell is computed anew"
     try:
-        table = pq.ParquetFile(io.BytesIO(path.read_bytes())).read()
+        data = io.BytesIO(path.read_bytes())
+        table = pq.ParquetFile(data, page_checksum_verification=True).read()
     except OSError as error:
         if error.errno is not None:
             raise os_error(error, path) from error
         raise StateError(f"results are damaged: {path} cannot be read", hint) from error
-    except pa.ArrowException as error:
+    except (ValueError, pa.ArrowException) as error:
         raise StateError(f"results are damaged: {path} cannot be read", hint) from error
     version = (table.schema.metadata or {}).get(b"rtc_schema", b"none").decode()
     if version != str(SCHEMA_VERSION) or table.schema.names != list(EPISODE_COLUMNS):
