@@ -11,7 +11,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from rtc_cli.errors import StateError
 from rtc_cli.files import write_json
@@ -206,7 +206,7 @@ class _Fit:
         policy = Policy.init(config, normaliser, jax.random.key(self.train_seed))
         meta = CheckpointMeta(
             task=self.task,
-            kind=self.kind,
+            kind=_kind_of(self.kind),
             train_seed=self.train_seed,
             epoch=0,
             epochs=self.config.epochs,
@@ -257,6 +257,11 @@ class _Curve:
     def _read(self, path: Path) -> None:
         found = json.loads(path.read_text(encoding="utf-8"))
         self.columns = {name: list(found[name]) for name in self._COLUMNS}
+
+
+def _kind_of(name: str) -> Literal["base", "fork", "prefix"]:
+    """Return what kind a checkpoint is; an ablation's variants are prefix checkpoints."""
+    return "fork" if name == "fork" else "base" if name == "base" else "prefix"
 
 
 def curve_path(run: Run, task: str, train_seed: int, kind: str) -> Path:
