@@ -19,13 +19,15 @@ import numpy.typing as npt
 from rtc_cli.errors import UsageError
 from rtc_cli.tasks.local import EngineName, LocalBatch, Record, check_worlds
 from rtc_cli.tasks.scene import FloatArray, Scene, StateArray
+from rtc_cli.tasks.workers import ProcessBatch
 
 
 class WorldBatch:
     """n worlds of a scene, in this process or shared out to worker processes.
 
     An episode is a function of (scene, seed, actions) only, bit for bit: batch size, order of
-    worlds, cutting into chunks, engine and number of workers do not matter.
+    worlds, cutting into chunks, engine and number of workers do not matter. `engine` is "fast",
+    "public" (slow, pymunk's own interface only) or "auto": fast where this pymunk allows it.
     """
 
     def __init__(
@@ -35,7 +37,12 @@ class WorldBatch:
             raise UsageError(f"{n} worlds with {workers} workers: both must be at least 1.")
         self.scene = scene
         self.n = n
-        self._batch = LocalBatch(scene, n, engine)
+        workers = min(workers, n)
+        self._batch: LocalBatch | ProcessBatch
+        if workers == 1:
+            self._batch = LocalBatch(scene, n, engine)
+        else:
+            self._batch = ProcessBatch(scene, n, workers, engine)
         self._started = np.zeros(n, bool)
 
     @property
@@ -79,7 +86,8 @@ class WorldBatch:
         return self._batch.step(array, index)
 
     def close(self) -> None:
-        """Give up processes and memory; may be called twice."""
+        """End worker processes, if there are any; may be called twice."""
+        self._batch.close()
 
     def __enter__(self) -> WorldBatch:
         return self

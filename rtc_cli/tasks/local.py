@@ -97,6 +97,9 @@ class LocalBatch:
         ticks = self.tick[worlds] - before
         return Record(self.scene.observe(self.states[worlds]), self.status[worlds], ticks)
 
+    def close(self) -> None:
+        """Nothing to give up in one process."""
+
     def _step_shard(self, actions: StateArray, worlds: Index) -> None:
         """Split the running worlds of a shard by how many ticks they execute, and step them."""
         left = self.scene.max_ticks - self.tick[worlds]
