@@ -89,3 +89,4 @@ class PointWorlds:
         self.status[moved[distance > 3.0]] = FAILED
         broken = np.isin(self.seed[moved], self.scene.broken_seeds) & (self.tick[moved] == 3)
         self.status[moved[broken]] = INVALID
+        self.state[moved[broken]] = np.nan
