@@ -30,9 +30,7 @@ class WorldBatch:
     "public" (slow, pymunk's own interface only) or "auto": fast where this pymunk allows it.
     """
 
-    def __init__(
-        self, scene: Scene, n: int, workers: int = 1, engine: EngineName = "auto"
-    ) -> None:
+    def __init__(self, scene: Scene, n: int, workers: int = 1, engine: EngineName = "auto") -> None:
         if n < 1 or workers < 1:
             raise UsageError(f"{n} worlds with {workers} workers: both must be at least 1.")
         self.scene = scene

@@ -213,7 +213,9 @@ class LocalBatch:
         for row in np.flatnonzero(flags.any(axis=1)).tolist():
             state = states[row]
             speed = np.sqrt(state[:, 2] ** 2 + state[:, 3] ** 2)
-            state[:, 2:4] *= np.minimum(1.0, self.scene.max_speed / np.maximum(speed, 1e-9))[:, None]
+            state[:, 2:4] *= np.minimum(1.0, self.scene.max_speed / np.maximum(speed, 1e-9))[
+                :, None
+            ]
             np.clip(state[:, 5], -self.scene.max_spin, self.scene.max_spin, out=state[:, 5])
             self._engine.set_velocities(int(worlds[row]), state)
 

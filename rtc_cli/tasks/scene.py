@@ -480,9 +480,7 @@ class Scene:
     def goal_bodies(self) -> tuple[int, ...]:
         """Places, among the moving bodies, of those with a goal-object shape."""
         moving = [self.bodies[i] for i in self.moving]
-        return tuple(
-            i for i, b in enumerate(moving) if any(s.role == Role.GOAL for s in b.shapes)
-        )
+        return tuple(i for i, b in enumerate(moving) if any(s.role == Role.GOAL for s in b.shapes))
 
     @cached_property
     def components(self) -> tuple[Component, ...]:
