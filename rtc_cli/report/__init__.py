@@ -1,0 +1,1 @@
+"""Tables, figures and pages made from the rows of a run; never imports JAX."""

@@ -1,0 +1,213 @@
+"""Builds the report of a run: report.md with PNG figures, index.html, rows.json."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from rtc_cli.errors import StateError
+from rtc_cli.files import write_bytes, write_json, write_text
+from rtc_cli.report import figures, sections
+from rtc_cli.report.document import Block, Code, Document, Fold, Paragraph, Picture, Section, pictures
+from rtc_cli.report.html import render_html
+from rtc_cli.report.inputs import RunInputs, load_run
+from rtc_cli.report.markdown import render_markdown
+from rtc_cli.report.render import differences_grid, success_grid
+from rtc_cli.report.selection import fits_protocol
+from rtc_cli.report.style import png
+from rtc_cli.report.tables import ALL, Row, ablation_differences, ablation_table, pick
+from rtc_cli.report.text import (
+    QUESTION,
+    SUMMARY_INTERVAL,
+    ablation_answer,
+    answer,
+    difference_interval_text,
+    protocol_text,
+)
+from rtc_cli.results import machine_record
+
+REPORT = "report"
+
+
+@dataclass(frozen=True)
+class ReportPaths:
+    """The files of a report, and the JSON document that `rtc report --json` prints."""
+
+    markdown: Path
+    html: Path
+    rows: Path
+    figures: tuple[Path, ...]
+    data: dict[str, Any]
+
+
+def build_report(run_folder: Path | str) -> ReportPaths:
+    """Build the report of an evaluated run in `<run>/report/`, replacing an older one.
+
+    Raises StateError where the run is missing, damaged, or holds no evaluated episodes.
+    """
+    run = load_run(run_folder)
+    _need_episodes(run, "rtc eval")
+    if "variant" in run.episodes.columns:
+        return build_ablation_report(run_folder)
+    results = sections.compute(run.episodes)
+    document = Document(
+        title=f"Real-time chunking under delay: {run.name}",
+        subtitle=_subtitle(run),
+        question=QUESTION,
+        answer=answer(results.summary, results.differences, results.falls),
+        sections=[
+            sections.how_to_read(run, results),
+            sections.success(results),
+            sections.paired_differences(results),
+            sections.tolerance(results),
+            sections.matrix(results),
+            sections.smoothness(results),
+            sections.profile(run),
+            sections.training(run),
+            sections.experts(run),
+            sections.provenance(run),
+            sections.trace(run, results),
+            sections.glossary(),
+        ],
+    )
+    return _write(run, document, results_json(run, results))
+
+
+def results_json(run: RunInputs, results: sections.Results) -> dict[str, Any]:
+    """Return all rows of a report as one JSON document (schema 1)."""
+    every = sections.summarise(run.episodes)
+    return {
+        "schema": 1,
+        "run": str(run.folder),
+        "machine": machine_record(),
+        "rows": every,
+        "differences": sections.differences(run.episodes),
+        "d90": results.d90,
+        "matrix": results.matrix,
+        "naive_fall": results.falls,
+        "cells": sections.cell_keys(run.episodes),
+    }
+
+
+def _need_episodes(run: RunInputs, command: str) -> None:
+    if run.episodes.empty:
+        raise StateError(
+            f"run {run.folder} holds no evaluated episodes, so there is nothing to report",
+            f"run `{command} --run {run.folder}` first",
+        )
+
+
+def _subtitle(run: RunInputs) -> str:
+    created = str(run.manifest.get("created", ""))[:10]
+    parts = [str(run.recipe.get("description", "")), f"Run of {created}" if created else ""]
+    parts.append(f"recipe `{str(run.manifest.get('recipe_hash', ''))[:12] or 'unknown'}`")
+    return ". ".join(part.rstrip(". ") for part in parts if part) + "."
+
+
+def _write(run: RunInputs, document: Document, data: dict[str, Any]) -> ReportPaths:
+    folder = run.folder / REPORT
+    images = []
+    for section in document.sections:
+        for picture in pictures(section.blocks):
+            path = folder / "figures" / f"{picture.name}.png"
+            write_bytes(path, png(picture.figure))
+            images.append(path)
+    markdown, html, rows = folder / "report.md", folder / "index.html", folder / "rows.json"
+    write_text(markdown, render_markdown(document))
+    write_text(html, render_html(document))
+    write_json(rows, data)
+    return ReportPaths(markdown, html, rows, tuple(images), data)
+
+
+# -- ablation --------------------------------------------------------------------------------
+
+
+def build_ablation_report(
+    run_folder: Path | str, *, episodes: pd.DataFrame | None = None, baseline: str | None = None
+) -> ReportPaths:
+    """Build the report of an ablation: success by evaluation delay per training distribution.
+
+    `episodes` (default: the run's) has the column `variant`; `baseline` (default: the recipe's,
+    else the first variant) is what the others are compared with.
+    """
+    run = load_run(run_folder)
+    rows = run.episodes if episodes is None else episodes
+    if rows.empty:
+        _need_episodes(run, "rtc ablate")
+    table = ablation_table(rows)
+    baseline = baseline or _baseline(run, table)
+    gaps = ablation_differences(rows, baseline)
+    protocols = list(dict.fromkeys(row["protocol"] for row in table))
+    document = Document(
+        title=f"Ablation: {run.name}",
+        subtitle=_subtitle(run),
+        question="Which delays should be simulated in training?",
+        answer=ablation_answer(gaps, baseline, protocols[0]),
+        sections=[
+            *(_ablation_section(table, gaps, baseline, protocol) for protocol in protocols),
+            _variants(run),
+            sections.provenance(run),
+            sections.glossary(),
+        ],
+    )
+    data = {
+        "schema": 1,
+        "run": str(run.folder),
+        "machine": machine_record(),
+        "baseline": baseline,
+        "rows": table,
+        "differences": gaps,
+    }
+    return _write(run, document, data)
+
+
+def _baseline(run: RunInputs, table: list[Row]) -> str:
+    named = run.recipe.get("ablation", {}).get("baseline")
+    return str(named or table[0]["variant"])
+
+
+def _ablation_section(
+    table: list[Row], gaps: list[Row], baseline: str, protocol: str
+) -> Section:
+    rows = pick(table, protocol=protocol)
+    mine = [row for row in gaps if fits_protocol(row, protocol)]
+    name = protocol.replace(":", "-")
+    tasks = sorted({row["task"] for row in rows} - {ALL})
+    caption = f"Percentage points against `{baseline}`. Bold: the interval excludes 0. "
+    blocks: list[Block] = [
+        Paragraph(
+            "Each line is one policy, fine-tuned with its own distribution of simulated delays "
+            "from the same base checkpoint, and evaluated at every delay."
+        ),
+        Picture(
+            f"ablation-{name}",
+            "Success by evaluation delay, one line per training distribution",
+            figures.success_figure(rows, protocol, series="variant"),
+            "Bands: 95% intervals for these checkpoints.",
+        ),
+        sections.as_table(
+            success_grid(rows, series="variant"), f"Episodes solved (%). {SUMMARY_INTERVAL}"
+        ),
+        sections.as_table(
+            differences_grid(mine, protocol), caption + difference_interval_text(mine)
+        ),
+    ]
+    if len(tasks) > 1:
+        tables = [
+            sections.as_table(success_grid(rows, series="variant", task=task), f"Task: {task}")
+            for task in tasks
+        ]
+        blocks.append(Fold("The same for each task", tables))
+    title = f"Success by training distribution, {protocol_text(protocol).split(':')[0]}"
+    return Section(f"ablation-{name}", title.replace("`", ""), blocks)
+
+
+def _variants(run: RunInputs) -> Section:
+    lines = [f"{name}: {values}" for name, values in _variant_settings(run).items()]
+    text = "\n".join(lines) or "The recipe lists no variants."
+    return Section("variants", "The training distributions", [Code(text)])
+
+
+def _variant_settings(run: RunInputs) -> dict[str, Any]:
+    return dict(run.recipe.get("ablation", {}).get("variants", {}))

@@ -1,0 +1,146 @@
+"""Which episode rows count: method labels, one row per episode, and the cells of a protocol."""
+
+import json
+import re
+from collections.abc import Sequence
+
+import pandas as pd
+
+from rtc_cli.errors import StateError
+
+# One episode of one cell; two rows that agree here are the same measurement.
+IDENTITY = ("task", "method", "train_seed", "delay", "exec_horizon", "flow_steps", "episode")
+METRICS = (
+    "length",
+    "time_to_success_s",
+    "throughput_per_min",
+    "seam_jump",
+    "seam_gap",
+    "prefix_error",
+    "action_delta",
+    "action_delta2",
+    "starved_ticks",
+    "late_chunks",
+    "waiting_ticks",
+    "reaction_ticks",
+)
+_NEEDED = (*IDENTITY, "checkpoint", "sampler", "schedule", "protocol", "solved")
+# Matrix cells that are a named method: the same measurement, shown under one name.
+_SAME_AS = {"base+plain": "naive", "base+pinv": "pinv", "prefix+prefix": "prefix"}
+METHOD_ORDER = ("sync", "naive", "pinv", "pinv-tuned", "pinv-detached", "prefix")
+
+
+def prepare(episodes: pd.DataFrame) -> pd.DataFrame:
+    """Return one row per measured episode, with unambiguous method names.
+
+    A cell that belongs to two protocols may be stored twice; it counts once here. The column
+    `protocols` of the result's `attrs` keeps the protocols that were asked for. Raises StateError
+    where columns are missing, or where rows of two different policies would be mixed.
+    """
+    missing = [name for name in _NEEDED if name not in episodes.columns]
+    if missing:
+        raise StateError(
+            f"the episode rows lack the columns {', '.join(missing)}",
+            "evaluate again with this version of rtc",
+        )
+    if episodes.empty:
+        raise StateError("there are no evaluated episodes", "run `rtc eval` first")
+    rows = _label_settings(episodes.assign(method=episodes["method"].replace(_SAME_AS)))
+    protocols = sorted(rows["protocol"].astype(str).unique(), key=_protocol_order)
+    _refuse_mixed(rows)
+    rows = rows.drop_duplicates(list(IDENTITY))
+    rows = rows.assign(solved=rows["solved"].astype(bool)).reset_index(drop=True)
+    rows.attrs["protocols"] = protocols
+    return rows
+
+
+def _label_settings(episodes: pd.DataFrame) -> pd.DataFrame:
+    """Tell apart two settings that were evaluated under one method name."""
+    if "settings" not in episodes.columns:
+        return episodes.assign(settings="{}")
+    rows = episodes.assign(settings=episodes["settings"].fillna("{}").astype(str))
+    pairs = rows[["method", "settings"]].drop_duplicates()
+    twice = [name for name, group in pairs.groupby("method") if len(group) > 1]
+    if not twice:
+        return rows
+    labels = {
+        (method, settings): _label(method, settings) if method in twice else method
+        for method, settings in pairs.itertuples(index=False)
+    }
+    names = [labels[key] for key in zip(rows["method"], rows["settings"], strict=True)]
+    return rows.assign(method=names)
+
+
+def _label(method: str, settings: str) -> str:
+    try:
+        values = json.loads(settings)
+        text = ", ".join(f"{name}={value}" for name, value in sorted(values.items()))
+    except (ValueError, AttributeError):
+        text = settings
+    return f"{method} ({text})" if text else method
+
+
+def _refuse_mixed(rows: pd.DataFrame) -> None:
+    """Refuse two results for one episode: another policy or another evaluation seed."""
+    who = ["task", "method", "train_seed"]
+    outcome = [name for name in ("solved", "length") if name in rows.columns]
+    mixed = _conflicts(rows, list(IDENTITY), outcome)
+    what = "two different results for the same episodes"
+    if "policy" in rows.columns and mixed.empty:
+        mixed = _conflicts(rows, who, ["policy"])
+        what = "episodes of two policies"
+    if not mixed.empty:
+        task, method, seed = mixed.iloc[0][who]
+        raise StateError(
+            f'task "{task}", method "{method}", training seed {seed} holds {what}',
+            "a policy or the evaluation seed changed between evaluations: use a new run folder",
+        )
+
+
+def _conflicts(rows: pd.DataFrame, keys: list[str], values: list[str]) -> pd.DataFrame:
+    distinct = rows[[*keys, *values]].drop_duplicates()
+    return distinct[distinct.duplicated(keys)]
+
+
+def protocols_of(rows: pd.DataFrame) -> list[str]:
+    """Return the protocols of prepared rows: `paper` first, then `fixed:S`, then `grid`."""
+    return list(rows.attrs.get("protocols") or sorted(rows["protocol"].unique()))
+
+
+def in_protocol(rows: pd.DataFrame, protocol: str) -> pd.DataFrame:
+    """Return the rows whose (delay, exec_horizon) belong to a protocol, whatever their label."""
+    if protocol == "paper":
+        return rows[rows["exec_horizon"] == rows["delay"].clip(lower=1)]
+    fixed = re.fullmatch(r"fixed:(\d+)", protocol)
+    if fixed:
+        return rows[rows["exec_horizon"] == int(fixed[1])]
+    if protocol == "grid":
+        return rows
+    return rows[rows["protocol"] == protocol]
+
+
+def fits_protocol(row: dict[str, object], protocol: str) -> bool:
+    """Say whether a row with `delay` and `exec_horizon` is a cell of a protocol."""
+    delay, exec_horizon = int(str(row["delay"])), int(str(row["exec_horizon"]))
+    if protocol == "paper":
+        return exec_horizon == max(delay, 1)
+    fixed = re.fullmatch(r"fixed:(\d+)", protocol)
+    return exec_horizon == int(fixed[1]) if fixed else True
+
+
+def method_order(names: Sequence[str]) -> list[str]:
+    """Sort method names: the known ones as the tables show them, then others by name."""
+    known = {name: place for place, name in enumerate(METHOD_ORDER)}
+    base = [re.split(r" \(", name)[0] for name in names]
+    return [
+        name
+        for _, _, name in sorted(
+            (known.get(stem, len(known)), name, name)
+            for stem, name in zip(base, names, strict=True)
+        )
+    ]
+
+
+def _protocol_order(protocol: str) -> tuple[int, str]:
+    first = {"paper": 0, "grid": 2}
+    return first.get(protocol, 1), protocol
