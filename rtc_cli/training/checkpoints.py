@@ -17,7 +17,7 @@ import hashlib
 import json
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,8 +29,14 @@ import numpy as np
 from rtc_cli.core.delays import DelayDistribution
 from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
 from rtc_cli.errors import StateError
-from rtc_cli.files import CHECKSUMS_NAME, new_folder, verify_checksums, write_bytes
-from rtc_cli.files import write_checksums, write_json
+from rtc_cli.files import (
+    CHECKSUMS_NAME,
+    new_folder,
+    verify_checksums,
+    write_bytes,
+    write_checksums,
+    write_json,
+)
 from rtc_cli.training.loop import TrainState, abstract_opt_state
 
 SCHEMA = 1
@@ -121,7 +127,7 @@ def load_checkpoint(
     params = _restored(folder / "params", policy.params)
     tree = _load_tree(folder / "training")
     opt_state = _unflat(tree.get("optimizer", {}), abstract_opt_state(policy.params), folder)
-    key_data = np.asarray(tree["key"], np.uint32)
+    key_data = jax.numpy.asarray(tree["key"], np.uint32)
     return TrainState(params, opt_state, key_data, int(tree["epoch"])), meta
 
 
@@ -170,7 +176,7 @@ def latest_progress(root: Path | str) -> Path | None:
 
 
 def export_policy(folder: Path | str, policy: Policy, meta: CheckpointMeta) -> None:
-    """Write a policy as safetensors and JSON, readable without this project; whole or not at all."""
+    """Write a policy as safetensors and JSON, readable by other programs; whole or not at all."""
     from safetensors.numpy import save
 
     arrays = {f"params/{name}": leaf for name, leaf in _flat(policy.params).items()}
@@ -337,11 +343,10 @@ def _parsed_meta(content: Mapping[str, Any]) -> CheckpointMeta:
 
 def _abstract_policy(meta: CheckpointMeta) -> Policy:
     """The policy that the description declares, with shapes in place of parameters."""
-    init: Callable[[jax.Array], Any] = lambda key: (
-        Policy.init(  # noqa: E731
-            meta.config, meta.normaliser, key
-        ).params
-    )
+
+    def init(key: jax.Array) -> Any:
+        return Policy.init(meta.config, meta.normaliser, key).params
+
     params = jax.eval_shape(init, jax.random.key(0))
     return Policy(config=meta.config, params=params, normaliser=meta.normaliser)
 
