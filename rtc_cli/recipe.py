@@ -174,7 +174,7 @@ class PinvConfig(Section):
     """Settings of the guided samplers."""
 
     mask: Mask = "exp"
-    max_guidance_weight: PositiveFloat = 5.0
+    max_guidance_weight: NonNegativeFloat = 5.0
     prior_std: PositiveFloat = 1.0
 
 
@@ -185,7 +185,7 @@ class TuneConfig(Section):
     """
 
     train_seed: Count = 90
-    max_guidance_weight: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (
+    max_guidance_weight: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)] = (
         1.0,
         5.0,
         20.0,

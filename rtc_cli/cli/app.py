@@ -41,6 +41,7 @@ class LazyGroup(TyperGroup):
         module = importlib.import_module(f"rtc_cli.cli.{cmd_name}")
         command = get_command(module.app)
         command.name = cmd_name
+        _unify(command)
         return command
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -63,6 +64,15 @@ class LazyGroup(TyperGroup):
             return super().invoke(ctx)
         except KeyboardInterrupt:
             raise _interrupted() from None
+
+
+def _unify(command: Any) -> None:
+    """Give every command the same plain help page; completion belongs to the program."""
+    command.rich_markup_mode = None
+    own = ("install_completion", "show_completion")
+    command.params = [param for param in command.params if param.name not in own]
+    for nested in getattr(command, "commands", {}).values():
+        _unify(nested)
 
 
 app = typer.Typer(
@@ -138,7 +148,7 @@ def _fail_usage(error: Any) -> int:
         print(context.get_help(), file=sys.stderr)
         return UsageError.default_exit_code
     command = context.command_path if context is not None else "rtc"
-    message = " ".join(error.format_message().split())
+    message = " ".join(error.format_message().replace("Value error, ", "").split())
     return _fail(UsageError(message.rstrip("."), f'see "{command} --help"'))
 
 

@@ -33,10 +33,11 @@ def _tasks() -> Iterable[str]:
     return list_tasks()
 
 
-def _samplers() -> Iterable[str]:
+def complete_samplers(incomplete: str) -> list[str]:
+    """Return the samplers whose names begin so, for the shell's completion."""
     from rtc_cli.samplers import list_samplers
 
-    return list_samplers()
+    return [name for name in list_samplers() if name.startswith(incomplete)]
 
 
 def _methods() -> Iterable[str]:
