@@ -105,8 +105,8 @@ class FastEngine:
         log = self._log.values(rows * ticks * self._rows * STATE_SIZE)
         states = log.reshape(rows, ticks, self._rows, STATE_SIZE)[:, :, :-1, _ORDER]
         per_tick = self._rows * STATE_SIZE
-        contacts = [Contact(*divmod(at // per_tick, ticks), role) for at, role in self._touched]
-        return states, contacts
+        steps = [(at // per_tick, role) for at, role in self._touched]
+        return states, [Contact(step // ticks, step % ticks, role) for step, role in steps]
 
     def set_velocities(self, world: int, state: StateArray) -> None:
         """Overwrite velocities."""

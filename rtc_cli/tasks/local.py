@@ -23,6 +23,7 @@ from rtc_cli.tasks.randomness import action_noise, jitter_numbers
 from rtc_cli.tasks.scene import FloatArray, Role, Scene, StateArray, Status
 
 Index = npt.NDArray[np.intp]
+Flags = npt.NDArray[np.bool_]
 
 
 EngineName = Literal["auto", "fast", "public"]
@@ -93,7 +94,8 @@ class LocalBatch:
             piece = actions[:, first : first + MAX_CHUNK].astype(np.float64)
             rows = SHARD_TICKS // piece.shape[1]
             for at in range(0, len(worlds), rows):
-                self._step_shard(piece[at : at + rows], worlds[at : at + rows])
+                with np.errstate(invalid="ignore", over="ignore"):  # worlds may become NaN
+                    self._step_shard(piece[at : at + rows], worlds[at : at + rows])
         ticks = self.tick[worlds] - before
         return Record(self.scene.observe(self.states[worlds]), self.status[worlds], ticks)
 
@@ -155,7 +157,7 @@ class LocalBatch:
         for row, tick, role in contacts:
             first = failed if role == Role.HAZARD else solved
             first[row] = min(first[row], tick)
-        invalid = self._first(~np.isfinite(log).all(axis=(2, 3)))
+        invalid = self._first(_any(~np.isfinite(log), (2, 3)))
         end = np.minimum(np.minimum(solved, failed), invalid)
         status = np.full(rows, Status.RUNNING, np.int8)
         for value, first in (
@@ -164,26 +166,29 @@ class LocalBatch:
             (Status.INVALID, invalid),
         ):
             status[(first == end) & (end < ticks)] = value
-        return end, status, self._first(self._too_fast(log).any(axis=2))
+        return end, status, self._first(_any(self._too_fast(log), (2,)))
 
     @staticmethod
-    def _first(flags: npt.NDArray[np.bool_]) -> Index:
+    def _first(flags: Flags) -> Index:
         """First true column (m,) of flags (m, T); T where there is none."""
         return np.where(flags.any(axis=1), flags.argmax(axis=1), flags.shape[1])
 
-    def _too_fast(self, states: StateArray) -> npt.NDArray[np.bool_]:
+    def _too_fast(self, states: StateArray) -> Flags:
         """Which bodies exceed a limit; states (..., moving, 6)."""
         square = states[..., 2] ** 2 + states[..., 3] ** 2
-        spin = np.abs(states[..., 5])
-        return (square > self.scene.max_speed**2) | (spin > self.scene.max_spin)
+        fast: Flags = square > self.scene.max_speed**2
+        fast |= np.abs(states[..., 5]) > self.scene.max_spin
+        return fast
 
-    def _outside(self, log: StateArray) -> npt.NDArray[np.bool_]:
+    def _outside(self, log: StateArray) -> Flags:
         """Ticks (m, T) at which a goal object is out of bounds."""
         if self.scene.bounds is None:
             return np.zeros(log.shape[:2], bool)
         low, high = np.array(self.scene.bounds).reshape(2, 2)
         place = log[:, :, list(self.scene.goal_bodies), 0:2]
-        return ((place < low) | (place > high)).any(axis=(2, 3))
+        outside: Flags = place < low
+        outside |= place > high
+        return _any(outside, (2, 3))
 
     def _settle(
         self,
@@ -191,7 +196,7 @@ class LocalBatch:
         end: Index,
         status: npt.NDArray[np.int8],
         worlds: Index,
-        keep: npt.NDArray[np.bool_],
+        keep: Flags,
     ) -> None:
         """Take over the outcome of rows `keep`: ticks, states, status, clamp, new Spaces."""
         rows = np.flatnonzero(keep)
@@ -218,6 +223,10 @@ class LocalBatch:
             ]
             np.clip(state[:, 5], -self.scene.max_spin, self.scene.max_spin, out=state[:, 5])
             self._engine.set_velocities(int(worlds[row]), state)
+
+
+def _any(flags: Flags, axes: tuple[int, ...]) -> Flags:
+    return np.asarray(flags.any(axis=axes))
 
 
 def check_worlds(n: int, worlds: npt.ArrayLike | None) -> Index:

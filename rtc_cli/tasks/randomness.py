@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cache
 
 import numpy as np
 
@@ -13,9 +14,13 @@ JITTER_NUMBERS = 6
 
 def stream(task: str, purpose: str, seed: int) -> np.random.Generator:
     """A Philox stream keyed by the task, what it is used for, and the episode's seed."""
-    digest = hashlib.sha256(f"{task}/{purpose}".encode()).digest()
-    key = np.array([int.from_bytes(digest[:8], "little"), seed % 2**64], np.uint64)
+    key = np.array([_hash(f"{task}/{purpose}"), seed % 2**64], np.uint64)
     return np.random.Generator(np.random.Philox(key=key))
+
+
+@cache
+def _hash(text: str) -> int:
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little")
 
 
 def jitter_numbers(scene: Scene, seed: int) -> StateArray:

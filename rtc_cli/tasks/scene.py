@@ -14,7 +14,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -24,6 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.tasks.measuring import COMPONENTS, apply_jitter, values
+from rtc_cli.tasks.scene_checks import check_scene
 
 WORLD = "world"
 SUBSTEPS = 2
@@ -328,21 +329,6 @@ ObservationKind = Literal[
     "local_position",
 ]
 
-_COMPONENTS: dict[str, tuple[tuple[str, ...], str]] = {
-    "position": (("x", "y"), "m"),
-    "x": (("x",), "m"),
-    "y": (("y",), "m"),
-    "velocity": (("vx", "vy"), "m/s"),
-    "vx": (("vx",), "m/s"),
-    "vy": (("vy",), "m/s"),
-    "angle": (("cos", "sin"), "1"),
-    "angular_velocity": (("w",), "rad/s"),
-    "relative_position": (("dx", "dy"), "m"),
-    "relative_velocity": (("dvx", "dvy"), "m/s"),
-    "relative_angle": (("cos", "sin"), "1"),
-    "local_position": (("lx", "ly"), "m"),
-}
-
 
 @dataclass(frozen=True, kw_only=True)
 class Observe:
@@ -370,7 +356,7 @@ class Observe:
     @property
     def size(self) -> int:
         """Components this entry adds to the observation."""
-        return len(_COMPONENTS[self.kind][0])
+        return len(COMPONENTS[self.kind][0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -384,6 +370,11 @@ class Distance:
     target: tuple[float, ...] = ()
     weight: float = 1.0
 
+    def way(self, value: StateArray) -> StateArray:
+        """Distance (n,) of values (n, components)."""
+        target = np.array(self.target or (0.0,) * value.shape[1])
+        return np.sqrt(np.sum((value - target) ** 2, axis=1))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Along:
@@ -396,6 +387,19 @@ class Along:
     observation: str
     points: tuple[Vec, ...]
     weight: float = 1.0
+
+    def way(self, value: StateArray) -> StateArray:
+        """Way (n,) that remains from values (n, 2)."""
+        points = np.array(self.points, np.float64)
+        start, leg = points[:-1], np.diff(points, axis=0)
+        lengths = np.sqrt(np.sum(leg**2, axis=1))
+        after = np.cumsum(lengths[::-1])[::-1]
+        offset = value[:, None] - start
+        share = np.clip(np.sum(offset * leg, axis=2) / lengths**2, 0.0, 1.0)
+        away = np.sqrt(np.sum((offset - share[..., None] * leg) ** 2, axis=2))
+        nearest = np.argmin(away, axis=1)
+        row = np.arange(len(value))
+        return away[row, nearest] + after[nearest] - share[row, nearest] * lengths[nearest]
 
 
 @dataclass(frozen=True)
@@ -439,7 +443,7 @@ class Scene:
     view: tuple[float, float, float, float] | None = field(default=None, metadata={"looks": True})
 
     def __post_init__(self) -> None:
-        _check_scene(self)
+        check_scene(self)
 
     @property
     def control_hz(self) -> float:
@@ -487,7 +491,7 @@ class Scene:
         """Name, unit and range of every number in the observation vector."""
         out = []
         for entry in self.observations:
-            names, unit = _COMPONENTS[entry.kind]
+            names, unit = COMPONENTS[entry.kind]
             bound = min(self.obs_limit, 1.0 / entry.scale if unit == "1" else self.obs_limit)
             for name in names:
                 parts = f"{entry.label}.{name}" if entry.size > 1 else entry.label
@@ -506,7 +510,8 @@ class Scene:
         The six numbers are x, y (of the body's origin), vx, vy, angle, angular velocity.
         The result is always finite.
         """
-        columns = [_values(self, entry, states) for entry in self.observations]
+        with np.errstate(invalid="ignore"):  # invalid worlds carry NaN and infinity
+            columns = [values(self, entry, states) for entry in self.observations]
         flat = np.concatenate(columns, axis=1)
         flat = (flat - self._offsets) / self._scales
         flat = np.nan_to_num(flat, nan=0.0, posinf=self.obs_limit, neginf=-self.obs_limit)
@@ -518,15 +523,15 @@ class Scene:
         physical = obs * self._scales + self._offsets
         total = np.zeros(len(obs))
         for term in self.progress_terms:
-            value = physical[:, self._columns(term.observation)]
-            total -= term.weight * _way(term, value)
+            value = physical[:, self.columns(term.observation)]
+            total -= term.weight * term.way(value)
         return total.astype(np.float32)
 
     def initial_states(self, uniforms: StateArray) -> StateArray:
         """States (n, bodies, 6) from uniform numbers (n, jitters, 6) in [−1, 1]."""
         states = np.repeat(self.declared_states[None], len(uniforms), axis=0)
         for k, jitter in enumerate(self.jitters):
-            _apply_jitter(self, jitter, uniforms[:, k], states)
+            apply_jitter(self, jitter, uniforms[:, k], states)
         return states
 
     @cached_property
@@ -544,7 +549,8 @@ class Scene:
         parts = [np.array(e.offset or (0.0,) * e.size) for e in self.observations]
         return np.concatenate(parts).astype(np.float64)
 
-    def _columns(self, label: str) -> slice:
+    def columns(self, label: str) -> slice:
+        """Place of an observation entry in the observation vector; UsageError if unknown."""
         at = 0
         for entry in self.observations:
             if entry.label == label:
@@ -564,168 +570,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_plain(v) for v in value]
     return value
-
-
-def _values(scene: Scene, entry: Observe, states: StateArray) -> StateArray:
-    """Physical values (n, size) of one observation entry."""
-    body = states[:, scene.body_index[entry.body]]
-    other = states[:, scene.body_index[entry.other]] if entry.other else body
-    difference = other - body
-    match entry.kind:
-        case "position":
-            return body[:, 0:2]
-        case "x":
-            return body[:, 0:1]
-        case "y":
-            return body[:, 1:2]
-        case "velocity":
-            return body[:, 2:4]
-        case "vx":
-            return body[:, 2:3]
-        case "vy":
-            return body[:, 3:4]
-        case "angle":
-            return _cos_sin(body[:, 4])
-        case "angular_velocity":
-            return body[:, 5:6]
-        case "relative_position":
-            return difference[:, 0:2]
-        case "relative_velocity":
-            return difference[:, 2:4]
-        case "relative_angle":
-            return _cos_sin(difference[:, 4])
-        case "local_position":
-            turn = _cos_sin(body[:, 4])
-            c, s = turn[:, 0], turn[:, 1]
-            dx, dy = difference[:, 0], difference[:, 1]
-            return np.stack([c * dx + s * dy, c * dy - s * dx], axis=1)
-
-
-def _cos_sin(angle: StateArray) -> StateArray:
-    return np.stack([np.cos(angle.copy()), np.sin(angle.copy())], axis=1)
-
-
-def _way(term: Distance | Along, value: StateArray) -> StateArray:
-    """Distance (n,) that a progress term measures; value (n, components)."""
-    if isinstance(term, Distance):
-        target = np.array(term.target or (0.0,) * value.shape[1])
-        return np.sqrt(np.sum((value - target) ** 2, axis=1))
-    points = np.array(term.points, np.float64)
-    start, leg = points[:-1], np.diff(points, axis=0)
-    lengths = np.sqrt(np.sum(leg**2, axis=1))
-    after = np.cumsum(lengths[::-1])[::-1]
-    offset = value[:, None] - start
-    share = np.clip(np.sum(offset * leg, axis=2) / lengths**2, 0.0, 1.0)
-    away = np.sqrt(np.sum((offset - share[..., None] * leg) ** 2, axis=2))
-    nearest = np.argmin(away, axis=1)
-    row = np.arange(len(value))
-    return away[row, nearest] + after[nearest] - share[row, nearest] * lengths[nearest]
-
-
-def _apply_jitter(scene: Scene, jitter: Jitter, u: StateArray, states: StateArray) -> None:
-    """Move a group rigidly, in place; u (n, 6) in [−1, 1]."""
-    index = [scene.body_index[name] for name in jitter.bodies]
-    first = states[:, index[0], 0:2].copy()
-    pivot = first
-    if jitter.pivot is not None:
-        declared = np.array(scene.bodies[index[0]].position)
-        pivot = first + (np.array(jitter.pivot) - declared)
-    shift = u[:, 0:2] * np.array(jitter.position)
-    speed = u[:, 2:4] * np.array(jitter.velocity)
-    angle, spin = u[:, 4] * jitter.angle, u[:, 5] * jitter.angular_velocity
-    for i in index:
-        arm = _turned(states[:, i, 0:2] - pivot, angle)
-        states[:, i, 0:2] = pivot + arm + shift
-        states[:, i, 4] += angle
-        states[:, i, 5] += spin
-        centre = np.broadcast_to(np.array(scene.bodies[i].centre), arm.shape)
-        lever = arm + _turned(centre, states[:, i, 4])
-        states[:, i, 2] += speed[:, 0] - spin * lever[:, 1]
-        states[:, i, 3] += speed[:, 1] + spin * lever[:, 0]
-
-
-def _turned(vectors: StateArray, angle: StateArray) -> StateArray:
-    """Vectors (n, 2) turned by angles (n,)."""
-    c, s = np.cos(angle.copy()), np.sin(angle.copy())
-    x, y = vectors[:, 0], vectors[:, 1]
-    return np.stack([c * x - s * y, s * x + c * y], axis=1)
-
-
-def _check_scene(scene: Scene) -> None:
-    """Refuse names that do not exist and numbers that cannot work."""
-    where = f'scene "{scene.name}": '
-    bodies = [body.name for body in scene.bodies]
-    moving = [body.name for body in scene.bodies if not body.static]
-    _unique(where + "body", bodies)
-    _unique(where + "action", [a.name for a in scene.actions])
-    _unique(where + "observation", [entry.label for entry in scene.observations])
-    if WORLD in bodies:
-        raise UsageError(f'{where}a body is called "{WORLD}", which is reserved. Rename it.')
-    if not moving or not scene.actions or not scene.observations:
-        raise UsageError(f"{where}needs a body that moves, an action and an observation.")
-    for body in scene.bodies:
-        _check_body(where, body)
-    for action in scene.actions:
-        if not action.low < action.high:
-            raise UsageError(
-                f'{where}action "{action.name}" has bounds {action.low}, {action.high};'
-                " low must be below high."
-            )
-    for link in (*scene.joints, *scene.motors):
-        _known(where + "joint or motor", (link.a, link.b), [*bodies, WORLD])
-        if link.a not in moving and link.b not in moving:
-            raise UsageError(f'{where}a joint of "{link.a}" and "{link.b}" needs a moving body.')
-    _known(where + "thruster", [t.body for t in scene.thrusters], moving)
-    drives = (*scene.motors, *scene.thrusters)
-    _known(where + "motor or thruster action", [d.action for d in drives], _names(scene.actions))
-    for jitter in scene.jitters:
-        _known(where + "jitter", jitter.bodies, moving)
-    for entry in scene.observations:
-        _check_observation(where, entry, bodies)
-    for term in scene.progress_terms:
-        scene._columns(term.observation)
-
-
-def _check_body(where: str, body: Body) -> None:
-    if not body.shapes and not body.static:
-        raise UsageError(f'{where}body "{body.name}" moves but has no shape. Add one.')
-    for shape in body.shapes:
-        if not body.static and not shape.density > 0:
-            raise UsageError(
-                f'{where}body "{body.name}" has a shape of density {shape.density};'
-                " a moving body needs more than 0."
-            )
-
-
-def _check_observation(where: str, entry: Observe, bodies: list[str]) -> None:
-    if entry.kind not in _COMPONENTS:
-        raise UsageError(
-            f'{where}observation kind "{entry.kind}" is unknown.'
-            + did_you_mean(entry.kind, _COMPONENTS)
-        )
-    relative = entry.kind.startswith("relative") or entry.kind == "local_position"
-    if relative != bool(entry.other):
-        rule = "needs" if relative else "takes no"
-        raise UsageError(f'{where}observation "{entry.label}" {rule} `other`.')
-    _known(where + "observation", [entry.body, *([entry.other] if relative else [])], bodies)
-    if not entry.scale > 0 or (entry.offset and len(entry.offset) != entry.size):
-        raise UsageError(
-            f'{where}observation "{entry.label}" has scale {entry.scale}, offset {entry.offset};'
-            f" it needs a positive scale and {entry.size} offsets or none."
-        )
-
-
-def _names(items: Iterable[Action]) -> list[str]:
-    return [item.name for item in items]
-
-
-def _unique(what: str, names: list[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise UsageError(f'{what} "{name}" is declared twice. Names must be unique.')
-
-
-def _known(what: str, names: Iterable[str], allowed: list[str]) -> None:
-    for name in names:
-        if name not in allowed:
-            raise UsageError(f'{what} refers to "{name}".' + did_you_mean(name, allowed))

@@ -120,7 +120,8 @@ def test_cart_stays_on_its_rail() -> None:
         action_noise=0.0,
     )
     _, states = run(scene, [1.0], 120)
-    assert states[0, 4] == 0.0 and abs(states[0, 1]) < 0.01
+    assert states[0, 4] == 0.0
+    assert abs(states[0, 1]) < 0.01
     assert states[0, 0] == pytest.approx(1.0, abs=0.02)
 
 
@@ -154,7 +155,8 @@ def test_failure_wins_a_tie() -> None:
 def test_leaving_the_bounds_fails() -> None:
     scene = ball(velocity=(2.9, 0.0), bounds=(-1.0, 0.0, 1.0, 2.0), **FREE)
     record, states = run(scene, [0.0], 24)
-    assert record.status[0] == Status.FAILED and record.ticks[0] == 11
+    assert record.status[0] == Status.FAILED
+    assert record.ticks[0] == 11
     assert states[0, 0] == pytest.approx(2.9 * 11 / 30)
 
 
@@ -162,7 +164,8 @@ def test_leaving_the_bounds_fails() -> None:
 def test_timeout(chunk: int) -> None:
     scene = ball(max_ticks=30, **FREE)
     record, _ = run(scene, [0.0], 40, chunk)
-    assert record.status[0] == Status.TIMEOUT and record.ticks[0] == 30
+    assert record.status[0] == Status.TIMEOUT
+    assert record.ticks[0] == 30
 
 
 def test_finished_worlds_ignore_actions() -> None:
@@ -220,7 +223,8 @@ def test_seeds_decide_jitter_and_noise() -> None:
         record = worlds.step(np.zeros((4, 8, 4)))
     np.testing.assert_array_equal(obs[0], obs[1])
     np.testing.assert_array_equal(record.obs[0], record.obs[1])
-    assert not np.array_equal(obs[0], obs[2]) and not np.array_equal(obs[2], obs[3])
+    assert not np.array_equal(obs[0], obs[2])
+    assert not np.array_equal(obs[2], obs[3])
 
 
 def test_jitter_keeps_joints_satisfied() -> None:
