@@ -11,7 +11,6 @@ from rtc_cli.report.style import (
     INK,
     MUTED,
     PAPER,
-    RULE,
     Look,
     looks,
     new_figure,
@@ -38,7 +37,7 @@ def success_figure(
 
     `series` is the key that names a line: `method`, or `variant` for an ablation.
     """
-    rows = [row for row in pick(summary, protocol=protocol, train_seed=ALL)]
+    rows = pick(summary, protocol=protocol, train_seed=ALL)
     if flow_steps is not None:
         rows = pick(rows, flow_steps=flow_steps)
     tasks = sorted({row["task"] for row in rows} - {ALL})
@@ -142,9 +141,7 @@ def differences_figure(rows: Sequence[Row], protocol: str) -> "Figure":
     panels = figure.subplots(lines, columns, sharey=True, sharex=True, squeeze=False).flatten()
     style = looks(list(dict.fromkeys(pair[0] for pair in pairs)))
     for axes, (method, baseline) in zip(panels, pairs, strict=False):
-        points = sorted(
-            pick(mine, method=method, baseline=baseline), key=lambda row: row["delay"]
-        )
+        points = sorted(pick(mine, method=method, baseline=baseline), key=lambda row: row["delay"])
         _difference_panel(axes, points, style[method])
         tidy(axes, title=f"{method} minus {baseline}")
     for axes in panels[len(pairs) :]:
@@ -179,6 +176,7 @@ def _difference_panel(axes: "Axes", points: Sequence[Row], look: Look) -> None:
             fontsize=8.5,
             color=INK,
             va="center",
+            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 0.6},
         )
     delays = [row["delay"] for row in points]
     _integer_ticks(axes, delays)
@@ -199,9 +197,9 @@ def timeline_figure(horizon: int = 8, exec_horizon: int = 4, delay: int = 2) -> 
         horizon=horizon, exec_horizon=exec_horizon, delay=delay, ticks=start + 4 * horizon
     )
     old, new, following = 1, 2, 3
-    style = dict(zip((old, new, following), looks(["a", "naive", "pinv", "b"]).values()))  # noqa: B905
-    style = {old: looks(["sync"])["sync"], new: looks(["pinv"])["pinv"]}
-    style[following] = looks(["prefix"])["prefix"]
+    style = dict(
+        zip((old, new, following), looks(["sync", "pinv", "prefix"]).values(), strict=True)
+    )
     figure = new_figure(7.4, 3.9)
     axes = figure.subplots()
     names = {old: "old chunk", new: "new chunk", following: "next chunk"}
@@ -400,8 +398,3 @@ def _handle(look: Look, label: str) -> Any:
     from matplotlib.lines import Line2D
 
     return Line2D([], [], color=look.colour, linewidth=2, label=label)
-
-
-def figure_rule_colour() -> str:
-    """Return the colour of grid lines."""
-    return RULE

@@ -85,7 +85,7 @@ def _cells(row: Sequence[str], left: int) -> str:
     for place, text in enumerate(row):
         # An interval behind a value is secondary: smaller, on its own line where space is short.
         inner = re.sub(r" (\([^()]*\))(\**)$", r"\2 <small>\1</small>", _inline(str(text)))
-        tag = 'th scope="row"' if place == 0 else f'td{" class=name" if place < left else ""}'
+        tag = 'th scope="row"' if place == 0 else f"td{' class=name' if place < left else ''}"
         cells.append(f"<{tag}>{inner}</{tag.split()[0]}>")
     return "".join(cells)
 

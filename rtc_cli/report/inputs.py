@@ -20,13 +20,17 @@ TRAINING = Path("results") / "training"
 
 @dataclass(frozen=True)
 class RunInputs:
-    """The parts of a run that a report shows; `recipe_text` is the resolved recipe as TOML."""
+    """The parts of a run that a report shows.
+
+    `recipe_text` is the resolved recipe as TOML; `variants` holds the episodes of an ablation.
+    """
 
     folder: Path
     recipe: Mapping[str, Any]
     recipe_text: str
     manifest: Mapping[str, Any]
     episodes: pd.DataFrame
+    variants: pd.DataFrame
     profile: Mapping[str, Any]
     training: list[dict[str, Any]]
     experts: list[dict[str, Any]]
@@ -54,6 +58,7 @@ def load_run(run_folder: Path | str) -> RunInputs:
         recipe_text=text,
         manifest=_read_json(folder / "manifest.json") or {},
         episodes=load_episodes(folder),
+        variants=load_variants(folder),
         profile=_read_json(folder / PROFILE) or {},
         training=_read_all(folder / TRAINING, "*.json", {"task", "epochs", "loss"}),
         experts=_read_all(folder / "experts", "**/*.json", {"task", "seed", "success"}),
@@ -61,15 +66,17 @@ def load_run(run_folder: Path | str) -> RunInputs:
 
 
 def load_episodes(folder: Path) -> pd.DataFrame:
-    """Return all episode rows of a run.
+    """Return the episode rows of a run's evaluations; empty where there are none."""
+    return ResultStore(folder / EPISODES).load()
 
-    Rows of an ablation carry the column `variant`: the name of the folder below
-    `results/episodes` that holds them.
+
+def load_variants(folder: Path) -> pd.DataFrame:
+    """Return the episode rows of a run's ablation, with the column `variant`.
+
+    Each variant has a folder of its own below `results/episodes`.
     """
-    store = folder / EPISODES
-    frames = [ResultStore(store).load()] if store.is_dir() else []
-    for variant in sorted(path for path in store.glob("*") if path.is_dir()):
-        frames.append(ResultStore(variant).load().assign(variant=variant.name))
+    stores = sorted(path for path in (folder / EPISODES).glob("*") if path.is_dir())
+    frames = [ResultStore(store).load().assign(variant=store.name) for store in stores]
     frames = [frame for frame in frames if not frame.empty]
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
 

@@ -9,7 +9,16 @@ import pandas as pd
 from rtc_cli.errors import StateError
 from rtc_cli.files import write_bytes, write_json, write_text
 from rtc_cli.report import figures, sections
-from rtc_cli.report.document import Block, Code, Document, Fold, Paragraph, Picture, Section, pictures
+from rtc_cli.report.document import (
+    Block,
+    Code,
+    Document,
+    Fold,
+    Paragraph,
+    Picture,
+    Section,
+    pictures,
+)
 from rtc_cli.report.html import render_html
 from rtc_cli.report.inputs import RunInputs, load_run
 from rtc_cli.report.markdown import render_markdown
@@ -47,9 +56,10 @@ def build_report(run_folder: Path | str) -> ReportPaths:
     Raises StateError where the run is missing, damaged, or holds no evaluated episodes.
     """
     run = load_run(run_folder)
-    _need_episodes(run, "rtc eval")
-    if "variant" in run.episodes.columns:
+    if run.episodes.empty and not run.variants.empty:
         return build_ablation_report(run_folder)
+    if run.episodes.empty:
+        raise _nothing_to_report(run, "rtc eval")
     results = sections.compute(run.episodes)
     document = Document(
         title=f"Real-time chunking under delay: {run.name}",
@@ -67,7 +77,7 @@ def build_report(run_folder: Path | str) -> ReportPaths:
             sections.training(run),
             sections.experts(run),
             sections.provenance(run),
-            sections.trace(run, results),
+            sections.trace(results),
             sections.glossary(),
         ],
     )
@@ -76,26 +86,24 @@ def build_report(run_folder: Path | str) -> ReportPaths:
 
 def results_json(run: RunInputs, results: sections.Results) -> dict[str, Any]:
     """Return all rows of a report as one JSON document (schema 1)."""
-    every = sections.summarise(run.episodes)
     return {
         "schema": 1,
         "run": str(run.folder),
         "machine": machine_record(),
-        "rows": every,
-        "differences": sections.differences(run.episodes),
+        "rows": results.every_summary,
+        "differences": results.every_difference,
         "d90": results.d90,
         "matrix": results.matrix,
         "naive_fall": results.falls,
-        "cells": sections.cell_keys(run.episodes),
+        "cells": results.cells,
     }
 
 
-def _need_episodes(run: RunInputs, command: str) -> None:
-    if run.episodes.empty:
-        raise StateError(
-            f"run {run.folder} holds no evaluated episodes, so there is nothing to report",
-            f"run `{command} --run {run.folder}` first",
-        )
+def _nothing_to_report(run: RunInputs, command: str) -> StateError:
+    return StateError(
+        f"run {run.folder} holds no evaluated episodes, so there is nothing to report",
+        f'run "{command} --run {run.folder}" first',
+    )
 
 
 def _subtitle(run: RunInputs) -> str:
@@ -105,8 +113,10 @@ def _subtitle(run: RunInputs) -> str:
     return ". ".join(part.rstrip(". ") for part in parts if part) + "."
 
 
-def _write(run: RunInputs, document: Document, data: dict[str, Any]) -> ReportPaths:
-    folder = run.folder / REPORT
+def _write(
+    run: RunInputs, document: Document, data: dict[str, Any], where: str = REPORT
+) -> ReportPaths:
+    folder = run.folder / where
     images = []
     for section in document.sections:
         for picture in pictures(section.blocks):
@@ -132,9 +142,9 @@ def build_ablation_report(
     else the first variant) is what the others are compared with.
     """
     run = load_run(run_folder)
-    rows = run.episodes if episodes is None else episodes
+    rows = run.variants if episodes is None else episodes
     if rows.empty:
-        _need_episodes(run, "rtc ablate")
+        raise _nothing_to_report(run, "rtc ablate")
     table = ablation_table(rows)
     baseline = baseline or _baseline(run, table)
     gaps = ablation_differences(rows, baseline)
@@ -159,7 +169,9 @@ def build_ablation_report(
         "rows": table,
         "differences": gaps,
     }
-    return _write(run, document, data)
+    # A run may hold both: then the report of the evaluation keeps its place.
+    where = REPORT if run.episodes.empty else f"{REPORT}/ablation"
+    return _write(run, document, data, where)
 
 
 def _baseline(run: RunInputs, table: list[Row]) -> str:
@@ -167,9 +179,7 @@ def _baseline(run: RunInputs, table: list[Row]) -> str:
     return str(named or table[0]["variant"])
 
 
-def _ablation_section(
-    table: list[Row], gaps: list[Row], baseline: str, protocol: str
-) -> Section:
+def _ablation_section(table: list[Row], gaps: list[Row], baseline: str, protocol: str) -> Section:
     rows = pick(table, protocol=protocol)
     mine = [row for row in gaps if fits_protocol(row, protocol)]
     name = protocol.replace(":", "-")

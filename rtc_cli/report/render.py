@@ -1,12 +1,12 @@
 """Rows as tables for people: text grids (shared by Markdown and HTML) and rich tables."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rtc_cli.report.selection import fits_protocol, method_order
 from rtc_cli.report.tables import ALL, Row, pick
-from rtc_cli.report.text import interval, points
+from rtc_cli.report.text import difference_interval_text, interval, points
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -166,7 +166,9 @@ def rich_table(grid: Grid, title: str = "", caption: str = "") -> "Table":
         pad_edge=False,
     )
     for place, name in enumerate(grid.columns):
-        table.add_column(name.replace(" s=", "\ns="), justify="left" if place < grid.left else "right")
+        table.add_column(
+            name.replace(" s=", "\ns="), justify="left" if place < grid.left else "right"
+        )
     for row in grid.rows:
         cells = []
         for place, cell in enumerate(row):
@@ -180,24 +182,26 @@ def rich_table(grid: Grid, title: str = "", caption: str = "") -> "Table":
     return table
 
 
-def render_summary(rows: Sequence[Row], *, task: str = ALL) -> "list[Table]":
+def render_summary(
+    rows: Sequence[Row], *, task: str = ALL, series: str = "method"
+) -> "list[Table]":
     """Return one rich success table per protocol and number of flow steps."""
     tables = []
     for protocol in dict.fromkeys(row["protocol"] for row in rows):
         mine = pick(rows, protocol=protocol)
         for steps in sorted({row["flow_steps"] for row in mine}):
-            what = "mean over tasks" if task == ALL else task
+            tasks = sorted({row["task"] for row in mine} - {ALL})
+            what = f"mean of {len(tasks)} tasks" if task == ALL and len(tasks) > 1 else task
+            what = tasks[0] if what == ALL else what
             title = f"Episodes solved (%), {what}, protocol {protocol}, {steps} flow steps"
             caption = "below: 95% Wilson interval, for these checkpoints"
-            grid = success_grid(pick(mine, flow_steps=steps), task=task)
+            grid = success_grid(pick(mine, flow_steps=steps), series=series, task=task)
             tables.append(rich_table(grid, title, caption))
     return tables
 
 
 def render_differences(rows: Sequence[Row], protocol: str, *, task: str = ALL) -> "Table":
     """Return the rich table of paired differences of one protocol."""
-    from rtc_cli.report.text import difference_interval_text
-
     mine = [row for row in rows if fits_protocol(row, protocol)]
     title = f"Paired differences (percentage points), protocol {protocol}"
     return rich_table(
@@ -215,3 +219,22 @@ def render_matrix(rows: Sequence[Row], protocol: str) -> "Table":
     return rich_table(
         matrix_grid(rows, protocol), f"Policy x sampler: episodes solved (%), protocol {protocol}"
     )
+
+
+def render_report(data: Mapping[str, Any]) -> "list[Table]":
+    """Return the tables that a terminal shows after a report: success, differences, D90."""
+    rows: list[Row] = data["rows"]
+    gaps: list[Row] = data["differences"]
+    series = "variant" if rows and "variant" in rows[0] else "method"
+    named = [row for row in rows if "+" not in row["method"]]
+    tables = render_summary(named, series=series)
+    for protocol in dict.fromkeys(row["protocol"] for row in rows):
+        if any(row["task"] == ALL and fits_protocol(row, protocol) for row in gaps):
+            tables.append(render_differences(gaps, protocol))
+    d90 = [row for row in data.get("d90", []) if "+" not in row["method"]]
+    return [*tables, render_d90(d90)] if d90 else tables
+
+
+def render_ablation(data: Mapping[str, Any]) -> "list[Table]":
+    """Return the tables of an ablation: success by training distribution, differences."""
+    return render_report(data)

@@ -28,7 +28,7 @@ from rtc_cli.report.render import (
     metrics_grid,
     success_grid,
 )
-from rtc_cli.report.selection import fits_protocol, prepare, protocols_of
+from rtc_cli.report.selection import fits_protocol, prepare
 from rtc_cli.report.tables import (
     ALL,
     Row,
@@ -54,13 +54,19 @@ CONTROL_HZ = 30.0
 
 @dataclass(frozen=True)
 class Results:
-    """All rows computed from a run's episodes, at the number of flow steps used most."""
+    """All rows computed from a run's episodes.
+
+    The tables show one number of flow steps, the one used most; `every_*` holds all of them.
+    """
 
     summary: list[Row]
     differences: list[Row]
     falls: list[Row]
     d90: list[Row]
     matrix: list[Row]
+    cells: list[Row]
+    every_summary: list[Row]
+    every_difference: list[Row]
     flow_steps: int
     all_flow_steps: tuple[int, ...]
 
@@ -83,18 +89,20 @@ class Results:
 def compute(episodes: pd.DataFrame, *, control_hz: float = CONTROL_HZ) -> Results:
     """Compute every row of the report from the episodes of a run."""
     prepared = prepare(episodes)
-    every = tuple(sorted(int(steps) for steps in prepared["flow_steps"].unique()))
     steps = main_flow_steps(prepared)
-    chosen = episodes[episodes["flow_steps"] == steps]
-    summary = summarise(chosen)
+    every_summary, every_difference = summarise(episodes), differences(episodes)
+    summary = pick(every_summary, flow_steps=steps)
     return Results(
         summary=summary,
-        differences=differences(chosen),
-        falls=naive_fall_rows(chosen),
+        differences=pick(every_difference, flow_steps=steps),
+        falls=naive_fall_rows(episodes),
         d90=d90_rows(summary, control_hz=control_hz),
         matrix=matrix_rows(summary),
+        cells=cell_keys(prepared),
+        every_summary=every_summary,
+        every_difference=every_difference,
         flow_steps=steps,
-        all_flow_steps=every,
+        all_flow_steps=tuple(sorted(int(value) for value in prepared["flow_steps"].unique())),
     )
 
 
@@ -299,7 +307,8 @@ def tolerance(results: Results) -> Section:
         blocks.append(_fall_table(results.falls))
     else:
         blocks.append(Note("Naive was not evaluated at delay 0 and at a larger delay."))
-    mine = pick(results.d90, task=ALL)
+    d90 = _named_methods(results.d90)
+    mine = pick(d90, task=ALL)
     if mine:
         caption = (
             "D90: the largest delay, interpolated, at which success is still 0.9 of naive's "
@@ -308,10 +317,7 @@ def tolerance(results: Results) -> Section:
         )
         blocks.append(as_table(d90_grid(mine), caption))
         if len(results.tasks) > 1:
-            tables = [
-                as_table(d90_grid(results.d90, task=task), f"Task: {task}")
-                for task in results.tasks
-            ]
+            tables = [as_table(d90_grid(d90, task=task), f"Task: {task}") for task in results.tasks]
             blocks.append(Fold("D90 for each task", tables))
     else:
         blocks.append(
@@ -452,7 +458,7 @@ def training(run: RunInputs) -> Section:
             str(len(curve["epochs"])),
             f"{curve['loss'][-1]:.4f}" if curve["loss"] else "-",
             _rate(curve.get("samples_per_s")),
-            _short(curve.get("seconds")),
+            _seconds(curve.get("seconds")),
         ]
         for curve in run.training
     ]
@@ -465,6 +471,11 @@ def _rate(values: Any) -> str:
     if not values:
         return "-"
     return f"{float(pd.Series(values).median()):,.0f}"
+
+
+def _seconds(value: Any) -> str:
+    """Show seconds, given as a total or per epoch."""
+    return _short(float(sum(value)) if isinstance(value, list) else value)
 
 
 def experts(run: RunInputs) -> Section:
@@ -537,7 +548,7 @@ def _digests(episodes: pd.DataFrame) -> Table | None:
     return Table([*(key.replace("_", " ") for key in keys), *names], lines, left=len(keys + names))
 
 
-def trace(run: RunInputs, results: Results) -> Section:
+def trace(results: Results) -> Section:
     """Say how every number is found again in the episode rows, with one worked example."""
     blocks: list[Block] = [
         Paragraph(
@@ -553,7 +564,6 @@ def trace(run: RunInputs, results: Results) -> Section:
             Paragraph(f"This line, started in the run's folder, prints **{points(value)}**:"),
             Code(code, "python"),
         ]
-    cells = cell_keys(run.episodes)
     lines = [
         [
             cell["task"],
@@ -563,7 +573,7 @@ def trace(run: RunInputs, results: Results) -> Section:
             f"{cell['solved']}/{cell['episodes']}",
             " ".join(cell["cells"]),
         ]
-        for cell in cells
+        for cell in results.cells
     ]
     columns = ["task", "method", "seed", "cell", "solved", "cell key"]
     table = Table(columns, lines, left=len(columns))
@@ -571,9 +581,8 @@ def trace(run: RunInputs, results: Results) -> Section:
     return Section("trace", "Where the numbers come from", blocks)
 
 
-def cell_keys(episodes: pd.DataFrame) -> list[Row]:
-    """Return solved and episodes of each cell with the keys of the files that hold it."""
-    rows = prepare(episodes)
+def cell_keys(rows: pd.DataFrame) -> list[Row]:
+    """Return solved and episodes of each cell of prepared rows, with the keys of its files."""
     if "cell" not in rows.columns:
         rows = rows.assign(cell="")
     keys = ["task", "method", "train_seed", "delay", "exec_horizon", "flow_steps"]
@@ -604,7 +613,7 @@ def reproduction(results: Results) -> tuple[str, float] | None:
     code = (
         "import pandas as pd\n"
         'rows = pd.read_parquet("results/episodes")\n'
-        f"rows = rows.query('method == \"{row['method']}\" and delay == {row['delay']} "
+        f'rows = rows.query(\'method == "{row["method"]}" and delay == {row["delay"]} '
         f"and exec_horizon == {row['exec_horizon']} and flow_steps == {row['flow_steps']}')\n"
         'rows = rows.drop_duplicates(["task", "train_seed", "episode"])\n'
         'print(round(100 * rows.groupby("task").solved.mean().mean(), 1))\n'

@@ -58,9 +58,8 @@ CSS_VARIABLES = {
 
 def looks(names: Sequence[str]) -> dict[str, Look]:
     """Return the look of each series: fixed for known methods, others take what is left."""
-    free = [place for place in (6, 7, 5, 4, 3, 1, 0, 2)]
     known = {name: _METHOD_LOOKS[name] for name in names if name in _METHOD_LOOKS}
-    free = [place for place in free if place not in known.values()]
+    free = [place for place in (6, 7, 5, 4, 3, 1, 0, 2) if place not in known.values()]
     others = [name for name in names if name not in known]
     places = known | {name: free[i % len(free)] for i, name in enumerate(others)}
     return {name: LOOKS[places[name]] for name in names}
@@ -72,13 +71,10 @@ def new_figure(width: float, height: float) -> "Figure":
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_RC):
+    with mpl.rc_context({"font.family": ["DejaVu Sans"], "font.size": 10.0}):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)
     return figure
-
-
-_RC = {"font.family": ["DejaVu Sans"], "font.size": 10.0}
 
 
 def tidy(axes: "Axes", *, title: str = "", x: str = "", y: str = "", grid: str = "y") -> None:

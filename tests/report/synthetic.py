@@ -26,9 +26,17 @@ MORE_METHODS = METHODS | {
     "prefix+plain": ("prefix", "plain", "async"),
     "prefix+pinv": ("prefix", "pinv", "async"),
 }
-_LOSS = {"naive": 0.032, "base+plain": 0.032, "prefix+plain": 0.034, "pinv": 0.022,
-         "pinv-tuned": 0.020, "prefix+pinv": 0.021, "prefix": 0.012, "base+prefix": 0.04,
-         "sync": 0.004}  # fmt: skip
+_LOSS = {
+    "naive": 0.032,
+    "base+plain": 0.032,
+    "prefix+plain": 0.034,
+    "pinv": 0.022,
+    "pinv-tuned": 0.020,
+    "prefix+pinv": 0.021,
+    "prefix": 0.012,
+    "base+prefix": 0.04,
+    "sync": 0.004,
+}
 
 
 def success_probability(method: str, task: str, delay: int, seed: int) -> float:
@@ -114,15 +122,24 @@ def episodes(
                     for delay in delays:
                         s = max(delay, 1) if protocol == "paper" else int(protocol[6:])
                         # A cell's own chance is the same under every protocol and label.
-                        own = np.random.default_rng([seed, delay, s, len(task), *map(ord, "".join(triple))])
+                        own = np.random.default_rng(
+                            [seed, delay, s, len(task), *map(ord, "".join(triple))]
+                        )
                         mixed = np.where(own.random(n) < 0.5, luck, own.random(n))
                         chance = success_probability(method, task, delay, seed)
                         settings = '{"max_guidance_weight": 20.0}' if "tuned" in method else "{}"
                         frames.append(
                             cell(
-                                method, task, seed, protocol, delay, s, mixed < chance,
-                                triple=triple, settings=settings,
-                            )  # fmt: skip
+                                method,
+                                task,
+                                seed,
+                                protocol,
+                                delay,
+                                s,
+                                mixed < chance,
+                                triple=triple,
+                                settings=settings,
+                            )
                         )
     return frames
 
@@ -161,13 +178,24 @@ def _write_extras(folder: Path) -> None:
             for checkpoint, first in (("base", 0), ("prefix", 15)):
                 epochs = list(range(first, 21))
                 loss = [0.2 + 0.8 * 0.85**e + 0.01 * seed for e in epochs]
-                record = {"task": task, "train_seed": seed, "checkpoint": checkpoint,
-                          "epochs": epochs, "loss": loss, "samples_per_s": [9000.0] * len(epochs),
-                          "seconds": 61.5}  # fmt: skip
+                record = {
+                    "task": task,
+                    "train_seed": seed,
+                    "checkpoint": checkpoint,
+                    "epochs": epochs,
+                    "loss": loss,
+                    "samples_per_s": [9000.0] * len(epochs),
+                    "seconds": [2.5] * len(epochs),
+                }
                 (training / f"{task}-seed{seed}-{checkpoint}.json").write_text(json.dumps(record))
         for seed, success in ((0, 0.81), (1, 0.42)):
-            record = {"task": task, "seed": seed, "success": success, "steps": 400_000,
-                      "seconds": 14.2}  # fmt: skip
+            record = {
+                "task": task,
+                "seed": seed,
+                "success": success,
+                "steps": 400_000,
+                "seconds": 14.2,
+            }
             path = folder / "experts" / task / f"{seed}.json"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(record))
@@ -178,13 +206,28 @@ def profile() -> dict[str, Any]:
     """A made-up profile with the documented row keys."""
     rows = []
     for batch, base in ((1, 2.1), (64, 38.0)):
-        for sampler, ratio in (("plain", 1.0), ("prefix", 1.03), ("prefix-per-token", 1.7),
-                               ("pinv", 2.5)):  # fmt: skip
+        for sampler, ratio in (
+            ("plain", 1.0),
+            ("prefix", 1.03),
+            ("prefix-per-token", 1.7),
+            ("pinv", 2.5),
+        ):
             rows.append(
-                {"network": "mixer", "sampler": sampler, "batch": batch, "horizon": 8,
-                 "flow_steps": 5, "compile_s": 1.2, "p50_ms": base * ratio,
-                 "p95_ms": base * ratio * 1.15, "p99_ms": base * ratio * 1.4,
-                 "ratio_to_plain": ratio, "flops": 1e6 * ratio, "bytes": 2e5,
-                 "delay_at_hz": 1, "samples_ms": [base * ratio]}  # fmt: skip
+                {
+                    "network": "mixer",
+                    "sampler": sampler,
+                    "batch": batch,
+                    "horizon": 8,
+                    "flow_steps": 5,
+                    "compile_s": 1.2,
+                    "p50_ms": base * ratio,
+                    "p95_ms": base * ratio * 1.15,
+                    "p99_ms": base * ratio * 1.4,
+                    "ratio_to_plain": ratio,
+                    "flops": 1e6 * ratio,
+                    "bytes": 2e5,
+                    "delay_at_hz": 1,
+                    "samples_ms": [base * ratio],
+                }
             )
     return {"schema": 1, "machine": {"cpu": "made up", "cores": 2}, "rows": rows}
