@@ -189,7 +189,7 @@ def _render(
         tables += [_times_table(group), _programs_table(group)]
     notes = [
         *_warnings(rows),
-        f"delay: {first['rounding']} of the 95th percentile, in control steps.",
+        f"d: the delay that this means, {first['rounding']} of the 95th percentile, in control steps.",
         f"x plain: {first['ratio_method']}.",
         "MFLOP, MB: the compiler's count for one call with its loops written out.",
         f"{machine['cpu']}, {machine['cores']} cores, jax {machine['jax']}.",
@@ -213,7 +213,7 @@ def _times_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
     table = _table(
         f"Milliseconds per call: {first['network']}, batch {first['batch']}, "
         f"horizon {first['horizon']}, {first['flow_steps']} flow steps",
-        ("p50", "p95", "p99", "per step", "x plain (95%)", f"delay at {first['hz']:g} Hz"),
+        ("p50", "p95", "p99", "/step", "x plain (95%)", f"d at {first['hz']:g} Hz"),
     )
     for row in rows:
         ratio = f"{row['ratio_to_plain']:.2f} [{row['ratio_low']:.2f}, {row['ratio_high']:.2f}]"
@@ -241,7 +241,7 @@ def _table(title: str, columns: Sequence[str]) -> "Table":
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1))
     table.add_column("sampler", no_wrap=True)
     for name in columns:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     return table
 
 
