@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from toy_scenes import machine
 
-from rtc_cli.tasks import chipmunk
+from rtc_cli.tasks import chipmunk, get_task
 from rtc_cli.tasks.batch import WorldBatch
 from rtc_cli.tasks.local import EngineName, LocalBatch
 
@@ -112,3 +112,21 @@ def test_observations_at_the_start_equal_across_engines_and_are_finite() -> None
     np.testing.assert_array_equal(one, other)
     assert one.dtype == np.float32
     assert np.isfinite(one).all()
+
+
+@pytest.mark.parametrize("task", ["cartpole_thrust", "catcher", "lunar_lander"])
+def test_built_in_tasks_reset_and_step_alike_in_both_engines(task: str) -> None:
+    scene = get_task(task)
+    worlds = np.arange(4)
+    used = LocalBatch(scene, 4, "fast")
+    draws = np.random.default_rng(3).uniform(
+        scene.action_low, scene.action_high, (4, 40, scene.action_dim)
+    )
+    for first in range(0, 24, 4):
+        new = LocalBatch(scene, 4, "public")
+        for batch in (used, new):
+            batch.reset(first + worlds, worlds)
+            record = batch.step(draws.astype(np.float32), worlds)
+        np.testing.assert_array_equal(used.states, new.states)
+        np.testing.assert_array_equal(used.status, new.status)
+        assert np.isfinite(record.obs).all()
