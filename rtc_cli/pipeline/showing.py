@@ -33,7 +33,7 @@ def record_method(
     Raises UsageError for a task or geometry that the run's recipe does not have, StateError for a
     missing checkpoint.
     """
-    from rtc_cli.training.checkpoints import load_policy
+    from rtc_cli.training.checkpoints import Expected, load_policy
 
     if scene.name not in run.recipe.tasks:
         raise UsageError(
@@ -43,7 +43,8 @@ def record_method(
     method = get_method(method_name)
     seed = run.recipe.train.seeds[0] if train_seed is None else train_seed
     geometry = ChunkGeometry(horizon=run.recipe.horizon, exec_horizon=exec_horizon, delay=delay)
-    policy = load_policy(run.checkpoint(scene.name, seed, method.checkpoint))
+    folder = run.checkpoint(scene.name, seed, method.checkpoint)
+    policy = load_policy(folder, expect=Expected(scene_digest=scene.digest))
     with WorldBatch(scene, 1) as worlds:
         recorder = _Recorder(worlds)
         evaluate_cell(

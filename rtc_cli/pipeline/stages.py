@@ -62,11 +62,8 @@ def train_expert(folder: Path, task: str, seed: int, progress: Progress) -> None
 
 
 def collect_data(folder: Path, task: str, train_seed: int, progress: Progress) -> None:
-    """Collect the episodes that one training seed learns from."""
+    """Collect the episodes that one training seed learns from; those that are there are checked."""
     run = open_run(folder)
-    target = run.data(task, train_seed)
-    if target.exists():
-        return
     from rtc_cli.data.collect import collect, first_data_episode
     from rtc_cli.experts.policy import mixture_actor
 
@@ -76,7 +73,7 @@ def collect_data(folder: Path, task: str, train_seed: int, progress: Progress) -
         run.recipe.data.transitions,
         first_episode=first_data_episode(train_seed),
         seed=train_seed,
-        folder=target,
+        folder=run.data(task, train_seed),
         progress=lambda state: progress(state["transitions"], state["target"], "control steps"),
     )
 
