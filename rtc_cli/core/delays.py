@@ -1,5 +1,6 @@
 """Delay distributions: one concept for training (which prefixes) and evaluation (which delays)."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -85,7 +86,7 @@ def _check_support(support: Sequence[int]) -> None:
     shown = f"delay support {tuple(support)}"
     if not support or any(isinstance(d, bool) or int(d) != d or d < 0 for d in support):
         raise UsageError(f"{shown} must be integers >= 0", "write it out, 0,1,2,3,4 say")
-    if any(b <= a for a, b in zip(support, support[1:], strict=False)):
+    if any(b <= a for a, b in itertools.pairwise(support)):
         raise UsageError(f"{shown} must be strictly increasing", "sort it and remove repeats")
     if support[0] != 0:
         raise UsageError(

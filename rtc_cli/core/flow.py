@@ -39,6 +39,7 @@ def masked_mean_square(
     counted the result is the ordinary mean. Errors of tokens that do not count may be anything,
     NaN included.
     """
-    squares = jnp.where(counted[..., None], jnp.square(error), 0.0)
+    # Masked before it is squared: the gradient of what does not count must be 0, not 0 * NaN.
+    squares = jnp.square(jnp.where(counted[..., None], error, 0.0))
     elements = jnp.sum(counted) * error.shape[-1]
     return jnp.sum(squares) / jnp.maximum(elements, 1)

@@ -37,7 +37,7 @@ class ChunkGeometry:
 
 def known(value: object) -> int | None:
     """Return the integer that `value` holds, None if it is traced or not an integer scalar."""
-    if isinstance(value, jax.core.Tracer) or isinstance(value, bool):
+    if isinstance(value, jax.core.Tracer | bool):
         return None
     if isinstance(value, int | np.integer):
         return int(value)

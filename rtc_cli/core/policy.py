@@ -242,7 +242,8 @@ class Policy:
         data, noise = jnp.swapaxes(actions, 0, 1), jnp.swapaxes(noise, 0, 1)
         counted = jnp.swapaxes(valid, 0, 1)
         token_tau = tau[None]
-        times, select = tau, select_own
+        times = tau
+        select: Select = select_own
         if delay is not None:
             prefix = jnp.arange(config.horizon)[:, None] < delay
             counted = counted & ~prefix

@@ -1,0 +1,87 @@
+"""Time of one chunk: our samplers against baselines in the reference's style.
+
+    python benchmarks/samplers.py [--batch 1 64 512] [--rounds 15]
+
+The paper's Mixer (4 layers, 256 channels), H = 8, K = 5, observation 40, action dim 6, d = 2,
+s = 2. All candidates alternate round by round in one process; medians, ratios paired by round.
+"""
+
+import argparse
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import reference_style
+from alternated import measure, ratio, show_medians, show_ratio
+
+from rtc_cli.core.geometry import ChunkGeometry
+from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
+from rtc_cli.samplers import ChunkRequest, get_sampler
+
+STEPS = 5
+CONFIG = PolicyConfig("mixer", (), horizon=8, obs_dim=40, action_dim=6)
+TARGETS = {  # batch: plain, guided, prefix (factors to reach), prefix/plain (not to exceed)
+    1: (1.3, 1.1, 1.5, 1.10),
+    64: (1.15, 1.1, 1.7, 1.05),
+    512: (1.5, 1.5, 2.3, 1.05),
+}
+
+
+def candidates(batch: int) -> dict[str, Callable[[], Any]]:
+    policy = Policy.init(CONFIG, Normaliser.identity(40, 6), jax.random.key(0), adaln_zero=False)
+    keys = jax.random.split(jax.random.key(1), 3)
+    obs = jax.random.normal(keys[0], (batch, CONFIG.obs_dim))
+    noise, overlap = (jax.random.normal(k, (batch, 8, 6)) for k in keys[1:])
+    params = reference_style.reference_params(policy)
+    s, d = jnp.int32(2), jnp.int32(2)
+
+    @functools.partial(jax.jit, static_argnames=("name", "fast"))
+    def ours(policy: Policy, obs: Any, s: Any, d: Any, name: str, fast: bool = True) -> Any:
+        field = policy.velocity(obs)
+        velocity = field if fast else (lambda x, tau: field(x, tau))
+        request = ChunkRequest(ChunkGeometry(8, s, d), STEPS, noise, overlap)
+        return get_sampler(name)(velocity, request)
+
+    plain = jax.jit(functools.partial(reference_style.plain, steps=STEPS))
+    guided = jax.jit(functools.partial(reference_style.guided, steps=STEPS))
+    calls = {
+        "plain": lambda: ours(policy, obs, s, d, name="plain"),
+        "prefix": lambda: ours(policy, obs, s, d, name="prefix"),
+        "pinv": lambda: ours(policy, obs, s, d, name="pinv"),
+        "pinv-detached": lambda: ours(policy, obs, s, d, name="pinv-detached"),
+        "reference-style plain": lambda: plain(params, obs, noise),
+        "reference-style guided": lambda: guided(params, obs, noise, overlap, s, d),
+        "prefix-per-token": lambda: ours(policy, obs, s, d, name="prefix", fast=False),
+    }
+    for left, right in (
+        ("plain", "reference-style plain"),
+        ("pinv", "reference-style guided"),
+        ("prefix", "prefix-per-token"),
+    ):
+        distance = float(jnp.abs(calls[left]() - calls[right]()).max())
+        if not distance < 1e-4:
+            raise SystemExit(f"{left} and {right} differ by {distance}")
+    return calls
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--batch", type=int, nargs="+", default=[1, 64, 512])
+    parser.add_argument("--rounds", type=int, default=15)
+    options = parser.parse_args()
+    for batch in options.batch:
+        samples = measure(candidates(batch), options.rounds)
+        print(f"batch {batch}")
+        show_medians(samples)
+        plain, guided, prefix, overhead = TARGETS.get(batch, (1.0, 1.0, 1.0, 1.1))
+        show_ratio(samples, "reference-style plain", "plain", plain)
+        show_ratio(samples, "reference-style guided", "pinv", guided)
+        show_ratio(samples, "prefix-per-token", "prefix", prefix)
+        show_ratio(samples, "prefix", "plain", overhead, at_most=True)
+        print(f"  pinv / plain: {ratio(samples, 'pinv', 'plain'):.2f}")
+
+
+if __name__ == "__main__":
+    main()

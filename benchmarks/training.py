@@ -1,0 +1,81 @@
+"""Training samples per second: our loss against one in the reference's style.
+
+    python benchmarks/training.py [--batch 512] [--obs-dim 679] [--rounds 15]
+
+The paper's Mixer, H = 8, action dim 6; one step is the loss, its gradient and AdamW with gradient
+clipping. Candidates alternate round by round in one process.
+"""
+
+import argparse
+import dataclasses
+import functools
+import statistics
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+import reference_style
+from alternated import measure, show_medians, show_ratio
+
+from rtc_cli.core.delays import DelayDistribution
+from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
+
+OPTIMISER = optax.chain(optax.clip_by_global_norm(10.0), optax.adamw(3e-4, weight_decay=1e-2))
+
+
+@functools.partial(jax.jit, static_argnames="loss")
+def train_step(params: Any, state: Any, loss: Any, *inputs: Any) -> Any:
+    value, gradient = jax.value_and_grad(loss)(params, *inputs)
+    updates, state = OPTIMISER.update(gradient, state, params)
+    return value, optax.apply_updates(params, updates), state
+
+
+def candidates(batch: int, obs_dim: int) -> dict[str, Any]:
+    config = PolicyConfig("mixer", (), horizon=8, obs_dim=obs_dim, action_dim=6)
+    policy = Policy.init(config, Normaliser.identity(obs_dim, 6), jax.random.key(0))
+    reference = reference_style.reference_params(policy)
+    obs = jax.random.normal(jax.random.key(1), (batch, obs_dim))
+    actions = jax.random.normal(jax.random.key(2), (batch, 8, 6))
+    valid, key = jnp.ones((batch, 8), bool), jax.random.key(3)
+
+    def ours(params: Any, delays: Any, obs: Any, actions: Any, valid: Any, key: Any) -> Any:
+        return dataclasses.replace(policy, params=params).loss(obs, actions, valid, key, delays)
+
+    without = functools.partial(_with_delays, ours, None)
+    delayed = functools.partial(_with_delays, ours, DelayDistribution.exponential(range(5)))
+    ours_state, reference_state = OPTIMISER.init(policy.params), OPTIMISER.init(reference)
+    mine = (obs, actions, valid, key)
+    calls = {
+        "training": lambda: train_step(policy.params, ours_state, without, *mine),
+        "training with delays": lambda: train_step(policy.params, ours_state, delayed, *mine),
+        "reference-style training": lambda: train_step(
+            reference, reference_state, reference_style.loss, obs, actions, key
+        ),
+    }
+    distance = abs(float(calls["training"]()[0]) - float(calls["reference-style training"]()[0]))
+    if not distance < 1e-4:
+        raise SystemExit(f"the two losses differ by {distance}")
+    return calls
+
+
+def _with_delays(loss: Any, delays: Any, params: Any, *inputs: Any) -> Any:
+    return loss(params, delays, *inputs)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--batch", type=int, default=512)
+    parser.add_argument("--obs-dim", type=int, default=679)
+    parser.add_argument("--rounds", type=int, default=15)
+    options = parser.parse_args()
+    samples = measure(candidates(options.batch, options.obs_dim), options.rounds)
+    show_medians(samples)
+    for name, values in samples.items():
+        print(f"  {name}: {1e3 * options.batch / statistics.median(values):.0f} samples/s")
+    show_ratio(samples, "reference-style training", "training", 1.8)
+    show_ratio(samples, "training with delays", "training", 1.10, at_most=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,237 @@
+"""Network and policy: two paths of one function, closed forms of the loss, types of actions."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rtc_cli.core.delays import DelayDistribution
+from rtc_cli.core.policy import (
+    Normaliser,
+    PhysicalActions,
+    Policy,
+    PolicyConfig,
+    get_network,
+    list_networks,
+)
+from rtc_cli.errors import UsageError
+
+B, H, OBS, A = 4, 6, 5, 3
+OPTIONS = (("channel_hidden", 16), ("channels", 8), ("layers", 2), ("token_hidden", 12))
+CONFIG = PolicyConfig("mixer", OPTIONS, H, OBS, A)
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return Policy.init(CONFIG, Normaliser.identity(OBS, A), jax.random.key(0), adaln_zero=False)
+
+
+@pytest.fixture(scope="module")
+def batch():
+    keys = jax.random.split(jax.random.key(1), 3)
+    obs = jax.random.normal(keys[0], (B, OBS))
+    actions, noise = (jax.random.normal(key, (B, H, A)) for key in keys[1:])
+    return obs, actions, noise
+
+
+def test_table_equals_per_token_path(policy, batch):
+    obs, x, _ = batch
+    times = jnp.array([0.0, 0.3, 0.7, 1.0])
+    rows = jax.random.randint(jax.random.key(2), (H, B), 0, 4)
+    field = policy.velocity(obs)
+    expected = field(x, times[rows].T)
+    got = field.tabulate(times)(jnp.swapaxes(x, 0, 1), rows)
+    assert float(jnp.std(expected)) > 0.1
+    np.testing.assert_allclose(jnp.swapaxes(got, 0, 1), expected, atol=1e-5)
+
+
+def test_mixer_is_the_written_out_network(policy, batch):
+    """One example in NumPy, double precision, from the definition."""
+    obs, x, _ = (np.asarray(value[0], np.float64) for value in batch)
+    p = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), policy.params)
+    tau = np.linspace(0, 1, H)
+    period = 4e-3 * 1000.0 ** np.linspace(0, 1, 4)
+    phase = 2 * np.pi * tau[:, None] / period
+    e = np.concatenate([np.sin(phase), np.cos(phase)], 1)
+    for layer in ("first", "second"):
+        e = e @ p["time"][layer]["kernel"] + p["time"][layer]["bias"]
+        e = e / (1 + np.exp(-e))
+    parts = np.split(e @ p["adaln"]["kernel"] + p["adaln"]["bias"], 14, axis=1)
+
+    def norm(h):
+        return (h - h.mean(1, keepdims=True)) / np.sqrt(h.var(1, keepdims=True) + 1e-6)
+
+    def gelu(z):
+        return 0.5 * z * (1 + np.tanh(np.sqrt(2 / np.pi) * (z + 0.044715 * z**3)))
+
+    joined = np.concatenate([x, np.tile(obs, (H, 1))], 1)
+    h = joined @ p["input"]["kernel"] + p["input"]["bias"]
+    for i in range(2):
+        block, (s1, b1, g1, s2, b2, g2) = p[f"block_{i}"], parts[6 * i : 6 * i + 6]
+        z = norm(h) * (1 + s1) + b1
+        h = h + g1 * (block["token_out"] @ gelu(block["token_in"] @ z))
+        z = norm(h) * (1 + s2) + b2
+        h = h + g2 * (gelu(z @ block["channel_in"]) @ block["channel_out"])
+    v = (norm(h) * (1 + parts[12]) + parts[13]) @ p["output"]["kernel"] + p["output"]["bias"]
+    got = policy.velocity(batch[0][:1])(batch[1][:1], jnp.asarray(tau, jnp.float32)[None])
+    np.testing.assert_allclose(got[0], v, atol=2e-4)
+
+
+def test_vjp_against_finite_differences(policy, batch):
+    obs, x, direction = batch
+    table = policy.velocity(obs).tabulate(jnp.array([0.4]))
+    rows = jnp.zeros((1, 1), jnp.int32)
+
+    @jax.jit
+    def field(x):
+        return jnp.swapaxes(table(jnp.swapaxes(x, 0, 1), rows), 0, 1)
+
+    cotangent = jax.random.normal(jax.random.key(3), x.shape)
+    (pulled,) = jax.vjp(field, x)[1](cotangent)
+    step = 1e-2
+    difference = (field(x + step * direction) - field(x - step * direction)) / (2 * step)
+    expected = jnp.sum(difference * cotangent, axis=(1, 2))
+    np.testing.assert_allclose(jnp.sum(pulled * direction, axis=(1, 2)), expected, atol=2e-3)
+
+
+def test_loss_is_the_ordinary_mean_without_delay(policy, batch):
+    obs, actions, noise = batch
+    tau = jnp.array([0.0, 0.2, 0.5, 0.9])
+    x = tau[:, None, None] * actions + (1 - tau[:, None, None]) * noise
+    v = policy.velocity(obs)(x, jnp.broadcast_to(tau[:, None], (B, H)))
+    expected = float(jnp.mean((v - (actions - noise)) ** 2))
+    valid = jnp.ones((B, H), bool)
+    for delay in (None, jnp.zeros(B, jnp.int32)):
+        got = policy.loss_at(obs, actions, valid, noise, tau, delay)
+        assert float(got) == pytest.approx(expected, rel=1e-5)
+
+
+def test_loss_with_delays_counts_valid_postfix_elements_only(policy, batch):
+    obs, actions, noise = batch
+    tau, delay = np.array([0.0, 0.2, 0.5, 0.9], np.float32), np.array([0, 1, 3, 2])
+    valid = np.arange(H) < np.array([6, 4, 3, 5])[:, None]
+    prefix = np.arange(H) < delay[:, None]
+    times = jnp.asarray(np.where(prefix, 1, tau[:, None]), jnp.float32)
+    x = times[..., None] * actions + (1 - times[..., None]) * noise
+    error = np.asarray(policy.velocity(obs)(x, times) - (actions - noise))
+    expected = float(np.mean(error[valid & ~prefix] ** 2))
+    got = policy.loss_at(obs, actions, valid, noise, jnp.asarray(tau), jnp.asarray(delay))
+    assert float(got) == pytest.approx(expected, rel=1e-5)
+
+
+def test_prefix_enters_clean(policy, batch):
+    """The prefix's noise changes nothing, and its error does not count."""
+    obs, actions, noise = batch
+    tau, delay, valid = jnp.full(B, 0.3), jnp.full(B, 2), jnp.ones((B, H), bool)
+
+    def loss(noise):
+        return policy.loss_at(obs, actions, valid, noise, tau, delay)
+
+    assert float(loss(noise)) == float(loss(noise.at[:, :2].set(7.0)))
+    assert float(loss(noise)) != float(loss(noise.at[:, 2].set(7.0)))
+
+
+def test_loss_is_zero_when_nothing_counts(policy, batch):
+    obs, actions, noise = batch
+    tau, none_valid = jnp.full(B, 0.3), jnp.zeros((B, H), bool)
+    assert float(policy.loss_at(obs, actions, none_valid, noise, tau, None)) == 0.0
+    everything = jnp.full(B, H)
+    valid = jnp.ones((B, H), bool)
+    assert float(policy.loss_at(obs, actions, valid, noise, tau, everything)) == 0.0
+
+
+def test_invalid_steps_do_not_reach_the_gradient(policy):
+    """A NaN error of a step that does not count leaves loss and gradient finite."""
+    from rtc_cli.core.flow import masked_mean_square
+
+    error = jnp.array([[[1.0], [jnp.nan]]])
+    counted = jnp.array([[True, False]])
+    value, gradient = jax.value_and_grad(masked_mean_square)(error, counted)
+    assert float(value) == 1.0
+    assert gradient.ravel().tolist() == [2.0, 0.0]
+
+
+def test_loss_draws_the_same_noise_with_and_without_delays(policy, batch):
+    obs, actions, _ = batch
+    valid, key = jnp.ones((B, H), bool), jax.random.key(5)
+
+    @jax.jit
+    def gradient(params, key):
+        new = dataclasses.replace(policy, params=params)
+        zero = DelayDistribution.constant(0)
+        return [
+            jax.value_and_grad(
+                lambda p, d=d: dataclasses.replace(new, params=p).loss(obs, actions, valid, key, d)
+            )(params)
+            for d in (None, zero)
+        ]
+
+    (plain, plain_gradient), (delayed, delayed_gradient) = gradient(policy.params, key)
+    assert float(plain) == pytest.approx(float(delayed), rel=1e-6)
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), plain_gradient, delayed_gradient
+    )
+
+
+def test_initial_adaln_is_zero(batch):
+    obs, x, _ = batch
+    policy = Policy.init(CONFIG, Normaliser.identity(OBS, A), jax.random.key(0))
+    early, late = (policy.velocity(obs)(x, jnp.full((B, H), t)) for t in (0.1, 0.8))
+    np.testing.assert_array_equal(early, late)
+
+
+def test_params_are_a_plain_tree(policy):
+    keys = {type(k) for path, _ in jax.tree.leaves_with_path(policy.params) for k in path}
+    assert keys == {jax.tree_util.DictKey}
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(policy.params))
+
+
+def test_normaliser_round_trip():
+    rng = np.random.default_rng(0)
+    obs, actions = rng.normal(3, 2, (50, OBS)), rng.normal(-1, 5, (50, H, A))
+    obs[:, 1] = 4.0
+    valid = np.arange(H) < rng.integers(1, H + 1, (50, 1))
+    normaliser = Normaliser.from_data(obs, np.where(valid[..., None], actions, 1e6), valid)
+    normal = normaliser.observations(obs)
+    np.testing.assert_allclose(normal.mean(0), 0, atol=1e-5)
+    np.testing.assert_allclose(normal.std(0), [1, 0, 1, 1, 1], atol=1e-5)
+    np.testing.assert_allclose(normaliser.action_std, actions[valid].std(0), rtol=1e-5)
+    physical = PhysicalActions(jnp.asarray(actions, jnp.float32))
+    back = normaliser.physical(normaliser.actions(physical))
+    np.testing.assert_allclose(back.array, actions, rtol=1e-4, atol=1e-4)
+
+
+def test_physical_actions_are_no_array():
+    normaliser, physical = Normaliser.identity(OBS, A), PhysicalActions(jnp.zeros((2, A)))
+    with pytest.raises(TypeError):
+        normaliser.physical(physical)
+    with pytest.raises(TypeError):
+        normaliser.actions(physical.array)
+    with pytest.raises(TypeError):
+        np.asarray(physical)
+
+
+def test_networks_by_name():
+    assert "mixer" in list_networks()
+    with pytest.raises(UsageError, match='Did you mean "mixer"'):
+        get_network("mixr")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [("layrs", 2, 'Did you mean "layers"'), ("layers", 0, "layers = 0"), ("channels", 7, "odd")],
+)
+def test_network_options(option, value, said):
+    config = PolicyConfig("mixer", ((option, value),), H, OBS, A)
+    with pytest.raises(UsageError, match=said):
+        Policy.init(config, Normaliser.identity(OBS, A), jax.random.key(0))
+
+
+def test_wrong_shapes(policy, batch):
+    obs, actions, _ = batch
+    with pytest.raises(UsageError, match=r"\(4, 4\).*\(B, 5\)"):
+        policy.velocity(obs[:, 1:])
+    with pytest.raises(UsageError, match="actions"):
+        policy.loss(obs, actions[:, 1:], jnp.ones((B, H), bool), jax.random.key(0))
