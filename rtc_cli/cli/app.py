@@ -149,7 +149,9 @@ def _fail_usage(error: Any) -> int:
         return UsageError.default_exit_code
     command = context.command_path if context is not None else "rtc"
     message = " ".join(error.format_message().replace("Value error, ", "").split())
-    return _fail(UsageError(message.rstrip("."), f'see "{command} --help"'))
+    given = getattr(error.__cause__, "errors", None)
+    value = f", not {given()[0]['input']}" if given else ""
+    return _fail(UsageError(message.rstrip(".") + value, f'see "{command} --help"'))
 
 
 def _fail(error: RtcError, cause: BaseException | None = None) -> int:

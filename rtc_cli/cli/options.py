@@ -49,7 +49,7 @@ def _methods() -> Iterable[str]:
 RecipeArgument = Annotated[
     str | None,
     typer.Argument(
-        metavar="[RECIPE]",
+        metavar="RECIPE",
         help="A shipped recipe's name or the path of a .toml file.",
         autocompletion=complete_recipe,
     ),

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtc_cli.cli.options import (
-    FlowStepsOption,
     HzOption,
     JsonOption,
     RoundingOption,
@@ -44,7 +43,15 @@ def profile(
     batch: Annotated[
         str, typer.Option("--batch", metavar="LIST", help="Batch sizes, comma-separated.")
     ] = "1",
-    flow_steps: FlowStepsOption = None,
+    flow_steps: Annotated[
+        int | None,
+        typer.Option(
+            "--flow-steps",
+            min=1,
+            metavar="K",
+            help="Euler steps of the flow per chunk.  [default: 5, or the run's]",
+        ),
+    ] = None,
     horizon: Annotated[
         int | None,
         typer.Option(
@@ -189,7 +196,7 @@ def _render(
         tables += [_times_table(group), _programs_table(group)]
     notes = [
         *_warnings(rows),
-        f"d: the delay that this means, {first['rounding']} of the 95th percentile, in control steps.",
+        f"d: the delay in control steps that the 95th percentile means ({first['rounding']}).",
         f"x plain: {first['ratio_method']}.",
         "MFLOP, MB: the compiler's count for one call with its loops written out.",
         f"{machine['cpu']}, {machine['cores']} cores, jax {machine['jax']}.",

@@ -1,0 +1,101 @@
+"""`rtc profile` on a tiny policy: its rows, its statistics and its costs. No test reads a clock."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rtc_cli.analysis.profile import (
+    PER_TOKEN,
+    prefix_per_token,
+    profile_samplers,
+    random_policy,
+    ratio_interval,
+)
+from rtc_cli.core.geometry import ChunkGeometry
+from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
+from rtc_cli.errors import UsageError
+from rtc_cli.samplers import ChunkRequest, get_sampler
+
+ROW_KEYS = {
+    *("network", "sampler", "batch", "horizon", "flow_steps", "compile_s", "p50_ms", "p95_ms"),
+    *("p99_ms", "ratio_to_plain", "flops", "bytes", "delay_at_hz", "samples_ms"),
+}
+
+
+@pytest.fixture(scope="module")
+def policy():
+    sizes = (("layers", 1), ("channels", 8), ("channel_hidden", 8), ("token_hidden", 4))
+    config = PolicyConfig("mixer", sizes, 4, 5, 2)
+    return Policy.init(config, Normaliser.identity(5, 2), jax.random.key(0), adaln_zero=False)
+
+
+@pytest.fixture(scope="module")
+def rows(policy):
+    return profile_samplers(policy, ["prefix"], batch=(1,), flow_steps=3, rounds=4, hz=30.0)
+
+
+def test_rows(rows):
+    assert [row["sampler"] for row in rows] == ["plain", "prefix", PER_TOKEN]
+    for row in rows:
+        assert ROW_KEYS <= row.keys()
+        assert len(row["samples_ms"]) == row["rounds"] == 4
+        assert row["p50_ms"] == pytest.approx(np.median(row["samples_ms"]))
+        assert row["per_step_ms"] == pytest.approx(row["p50_ms"] / 3)
+        assert row["delay_at_hz"] == int(np.ceil(row["p95_ms"] * 30 / 1000))
+    assert rows[0]["ratio_to_plain"] == rows[0]["ratio_low"] == rows[0]["ratio_high"] == 1.0
+
+
+def test_flops_count_every_step(policy, rows):
+    """A loop's body counted once would give flops that do not grow with the steps."""
+    longer = profile_samplers(policy, ["plain"], flow_steps=6, rounds=2)
+    assert 1.6 < longer[0]["flops"] / rows[0]["flops"] <= 2.05
+
+
+def test_per_token_is_the_same_sampler(policy):
+    key = jax.random.key(1)
+    noise, overlap = jax.random.normal(key, (2, 3, 4, 2))
+    observations = jax.random.normal(jax.random.fold_in(key, 1), (3, 5))
+    request = ChunkRequest(ChunkGeometry(4, 2, 2), 3, noise, overlap)
+    velocity = policy.velocity(observations)
+    chunk = prefix_per_token(velocity, request)
+    np.testing.assert_allclose(chunk, get_sampler("prefix")(velocity, request), atol=2e-5)
+    assert jnp.array_equal(chunk[:, :2], overlap[:, :2])
+
+
+def test_random_weights_do_not_leave_adaln_at_zero():
+    policy = random_policy("quickstart", 8)
+    assert float(jnp.abs(policy.params["adaln"]["kernel"]).max()) > 0
+    assert policy.config.horizon == 8
+
+
+def test_the_ratio_of_a_constant_factor_is_exact():
+    baseline = np.random.default_rng(0).lognormal(size=40)
+    assert ratio_interval(3 * baseline, baseline) == pytest.approx((3.0, 3.0, 3.0))
+
+
+def test_the_ratio_interval_covers():
+    """Independent lognormal times with ratio 2 of their medians: covered in most of 100 draws."""
+    generator = np.random.default_rng(0)
+    covered = 0
+    for number in range(100):
+        plain, other = generator.lognormal(sigma=0.2, size=(2, 50))
+        _, low, high = ratio_interval(2 * other, plain, seed=number)
+        covered += low <= 2 <= high
+    assert covered >= 88
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"samplers": ["pnv"]}, "pnv"),
+        ({"samplers": []}, "no sampler"),
+        ({"samplers": ["pinv"], "rounds": 1}, "1 rounds"),
+        ({"samplers": ["pinv"], "batch": (0,)}, "batch 0"),
+        ({"samplers": ["pinv"], "hz": 0.0}, "0.0 Hz"),
+        ({"samplers": ["pinv"], "horizon": 9}, "horizon 9"),
+    ],
+)
+def test_bad_settings(policy, settings, words):
+    with pytest.raises(UsageError, match=words):
+        profile_samplers(policy, **settings)
