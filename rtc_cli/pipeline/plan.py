@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import product
+from itertools import chain, product
 
 from rtc_cli.pipeline import evaluation, profiling, stages
 from rtc_cli.pipeline.executors import Job
@@ -26,17 +26,28 @@ EXPERTS, DATA, TRAINING, TUNING, EVALUATION, PROFILE = (
 
 
 def run_plan(run: Run) -> list[Job]:
-    """Return the jobs of `rtc run` but for the profile, which must not share the machine."""
-    return [*train_plan(run), *_tuning(run), *eval_plan(run, run.recipe.eval, run.recipe.tasks)]
+    """Return the jobs of `rtc run` but for the profile, which must not share the machine.
+
+    Seed by seed, so that an interrupted run holds whole seeds, and the first numbers come early.
+    """
+    recipe = run.recipe
+    jobs = _experts(run)
+    for place, seed in enumerate(recipe.train.seeds):
+        jobs += _training(run, seed)
+        jobs += eval_plan(run, recipe.eval, recipe.tasks, (seed,))
+        if place == 0:
+            jobs += _tuning(run)
+    return jobs
 
 
 def train_plan(run: Run) -> list[Job]:
     """Return the jobs of `rtc train`: experts, data, and both checkpoints of every seed."""
-    return [
-        *_experts(run),
-        *_bases(run, run.recipe.train.seeds),
-        *_policies(run, run.recipe.train.seeds, (stages.PREFIX,)),
-    ]
+    trainings = (_training(run, seed) for seed in run.recipe.train.seeds)
+    return [*_experts(run), *chain.from_iterable(trainings)]
+
+
+def _training(run: Run, seed: int) -> list[Job]:
+    return [*_data_and_forks(run, (seed,)), *_policies(run, (seed,), ("base", stages.PREFIX))]
 
 
 def ablation_plan(run: Run) -> list[Job]:
@@ -122,10 +133,6 @@ def _data_and_forks(run: Run, seeds: Sequence[int]) -> list[Job]:
     return jobs
 
 
-def _bases(run: Run, seeds: Sequence[int]) -> list[Job]:
-    return [*_data_and_forks(run, seeds), *_policies(run, seeds, ("base",))]
-
-
 def _policies(run: Run, seeds: Sequence[int], kinds: Sequence[str]) -> list[Job]:
     return [
         _policy(run, task, seed, kind, _policy_name(task, seed, "fork"))
@@ -150,7 +157,8 @@ def _tuning(run: Run) -> list[Job]:
     if config is None:
         return []
     cells = evaluation.tuning_cells(config, run.recipe.horizon)
-    jobs = _bases(run, (config.train_seed,))
+    seeds = (config.train_seed,)
+    jobs = [*_data_and_forks(run, seeds), *_policies(run, seeds, ("base",))]
     names = []
     for task in run.recipe.tasks:
         name = f"tune pinv · {task}"
