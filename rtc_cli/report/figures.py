@@ -138,7 +138,7 @@ def differences_figure(rows: Sequence[Row], protocol: str) -> "Figure":
     columns = min(2, max(len(pairs), 1))
     lines = -(-len(pairs) // columns) or 1
     figure = new_figure(7.4, 0.4 + 2.5 * lines)
-    panels = figure.subplots(lines, columns, sharey=True, sharex=True, squeeze=False).flatten()
+    panels = figure.subplots(lines, columns, sharey=True, squeeze=False).flatten()
     style = looks(list(dict.fromkeys(pair[0] for pair in pairs)))
     for axes, (method, baseline) in zip(panels, pairs, strict=False):
         points = sorted(pick(mine, method=method, baseline=baseline), key=lambda row: row["delay"])

@@ -83,7 +83,7 @@ def tidy(axes: "Axes", *, title: str = "", x: str = "", y: str = "", grid: str =
         axes.spines[side].set_visible(False)
     axes.spines["bottom"].set_color(RULE)
     axes.patch.set_visible(False)
-    axes.tick_params(colors=MUTED, labelsize=9, length=0)
+    axes.tick_params(which="both", colors=MUTED, labelsize=9, length=0)
     if grid:
         axes.grid(True, axis=grid, color=RULE, linewidth=0.8)  # type: ignore[arg-type]
     axes.set_axisbelow(True)
