@@ -124,7 +124,8 @@ def timeline(
     """
     plan = cycle(exec_horizon, delay, schedule)
     start = first_inference(exec_horizon, schedule)
-    chunks, indices, windows = [0] * start, list(range(start)), []
+    chunks, indices = [0] * start, list(range(start))
+    windows: list[Window] = []
     # Action overlap[0] of the running chunk: where the chunk before this cycle had got to.
     running, due = 0, start
     while len(chunks) < ticks:
