@@ -26,8 +26,8 @@ off. A solved episode takes 75 control steps, because the ball decides; that is 
 
 | action | unit | range |
 | --- | --- | --- |
-| push_right | fraction of 8 N | 0 to 1 |
-| push_left | fraction of 8 N | 0 to 1 |
+| push_right | fraction of 6 N | 0 to 1 |
+| push_left | fraction of 6 N | 0 to 1 |
 
 Angles count from upright, anticlockwise. Thrusters may fire together; then they cancel.
 """
@@ -60,11 +60,11 @@ from rtc_cli.tasks.scene import (
 CART_WIDTH = 0.9
 CART_HEIGHT = 0.3
 STEM_LENGTH = 2.0
-CUP_WIDTH = 0.9
+CUP_WIDTH = 1.0
 SPIKE_ANGLE = 0.7  # rad between the upright stem and the tip of a spike
 SPIKE_REACH = 0.55  # m from the hinge to the tip of a spike
 BARRIER_X = 3.2
-THRUST_N = 8.0
+THRUST_N = 6.0
 RAMP_LENGTH = 2.6
 RAMP_SLOPE = 0.2  # rad
 RAMP_END_X = -0.7
