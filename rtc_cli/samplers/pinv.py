@@ -31,13 +31,15 @@ class Guided(Sampler):
         _check_number("max_guidance_weight", self.max_guidance_weight, zero_allowed=True)
         _check_number("prior_std", self.prior_std, zero_allowed=False)
 
-    def error(self, denoised: Float[Array, "H B A"], problem: Problem) -> Float[Array, "H B A"]:
-        """W * (Y - denoised), the weighted distance of the denoised chunk from the overlap."""
+    def error(
+        self, denoised: Float[Array, "H B A"], overlap: Float[Array, "H B A"], problem: Problem
+    ) -> Float[Array, "H B A"]:
+        """W * (Y - denoised), the weighted distance of the denoised chunk from the overlap Y."""
         geometry = problem.geometry
         weights = overlap_weights(
             geometry.horizon, geometry.exec_horizon, jnp.atleast_1d(problem.delay), self.mask
         )
-        return weights.T[..., None] * (problem.overlap - denoised)
+        return weights.T[..., None] * (overlap - denoised)
 
     def weight(self, step: Step) -> Float[Array, ""]:
         """g(tau) of this step."""
@@ -64,7 +66,7 @@ class Pinv(Guided):
         if problem.overlap is None:
             return x + step.dt * velocity(x, rows)
         v, pull = jax.vjp(lambda x: velocity(x, rows), x)
-        error = self.error(x + (1 - step.tau) * v, problem)
+        error = self.error(x + (1 - step.tau) * v, problem.overlap, problem)
         (through_velocity,) = pull((1 - step.tau) * error)
         return x + step.dt * (v + self.weight(step) * (error + through_velocity))
 

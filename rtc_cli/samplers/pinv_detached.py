@@ -27,5 +27,5 @@ class PinvDetached(Guided):
         v = velocity(x, jnp.full((1, 1), step.index))
         if problem.overlap is None:
             return x + step.dt * v
-        error = self.error(x + (1 - step.tau) * v, problem)
+        error = self.error(x + (1 - step.tau) * v, problem.overlap, problem)
         return x + step.dt * (v + self.weight(step) * error)
