@@ -161,7 +161,14 @@ def _description_parts(scene: Scene) -> tuple[Any, ...]:
         f"{scene.control_hz:g} control steps per second, at most {scene.max_ticks} ({seconds:.1f} "
         f"s); action noise {scene.action_noise:g}; digest {scene.digest[:12]}"
     )
-    return (Text(scene.name, style="bold"), Text(description["description"]), *tables, "", facts)
+    return (Text(scene.name, style="bold"), Text(_prose(scene)), *tables, "", facts)
+
+
+def _prose(scene: Scene) -> str:
+    """The description without its tables, one line per paragraph: the terminal wraps it."""
+    paragraphs = scene.description.strip().split("\n\n")
+    kept = [each.replace("\n", " ") for each in paragraphs if not each.startswith("|")]
+    return "\n\n".join(kept)
 
 
 def _trace(

@@ -97,7 +97,8 @@ class Trace:
 
 def record_episode(scene: Scene, seed: int, act: Feedback, caption: str = "") -> Trace:
     """Run one episode of a feedback law: `act(observation (O,), tick)` gives one action (A,)."""
-    states, actions = [], []
+    states: list[StateArray] = []
+    actions: list[FloatArray] = []
     with WorldBatch(scene, 1) as worlds:
         obs = worlds.reset([seed])[0]
         states.append(worlds.states[0])
@@ -345,7 +346,7 @@ def _heading(scene: Scene, trace: Trace, width: int) -> Image.Image:
     draw = ImageDraw.Draw(image)
     title = f"{scene.name}: {trace.caption}" if trace.caption else scene.name
     draw.text((12, 8), title, fill=INK, font=_font(17))
-    x = 12
+    x = 12.0
     for role, name in ROLE_NAMES.items():
         x = _entry(draw, x, 36, ROLE_COLORS[role], name)
     _entry(draw, x, 36, FLAME, "thruster or motor at work")

