@@ -17,8 +17,8 @@ import reference_style
 from alternated import measure, ratio, show_medians, show_ratio
 
 from rtc_cli.core.geometry import ChunkGeometry
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
-from rtc_cli.samplers import ChunkRequest, get_sampler
+from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig, TimeTable
+from rtc_cli.samplers import ChunkRequest, get_sampler, list_samplers
 
 STEPS = 5
 CONFIG = PolicyConfig("mixer", (), horizon=8, obs_dim=40, action_dim=6)
@@ -37,23 +37,31 @@ def candidates(batch: int) -> dict[str, Callable[[], Any]]:
     params = reference_style.reference_params(policy)
     s, d = jnp.int32(2), jnp.int32(2)
 
+    # As in a deployed policy: the time table is an input, computed once per checkpoint and K.
+    tables = {name: policy.time_table(get_sampler(name).times(STEPS)) for name in list_samplers()}
+
     @functools.partial(jax.jit, static_argnames=("name", "fast"))
-    def ours(policy: Policy, obs: Any, s: Any, d: Any, name: str, fast: bool = True) -> Any:
-        field = policy.velocity(obs)
+    def sample(
+        policy: Policy, table: TimeTable, obs: Any, s: Any, d: Any, name: str, fast: bool
+    ) -> Any:
+        field = policy.velocity(obs, table)
         velocity = field if fast else (lambda x, tau: field(x, tau))
         request = ChunkRequest(ChunkGeometry(8, s, d), STEPS, noise, overlap)
         return get_sampler(name)(velocity, request)
 
+    def ours(name: str, fast: bool = True) -> Any:
+        return sample(policy, tables[name], obs, s, d, name, fast)
+
     plain = jax.jit(functools.partial(reference_style.plain, steps=STEPS))
     guided = jax.jit(functools.partial(reference_style.guided, steps=STEPS))
     calls = {
-        "plain": lambda: ours(policy, obs, s, d, name="plain"),
-        "prefix": lambda: ours(policy, obs, s, d, name="prefix"),
-        "pinv": lambda: ours(policy, obs, s, d, name="pinv"),
-        "pinv-detached": lambda: ours(policy, obs, s, d, name="pinv-detached"),
+        "plain": lambda: ours("plain"),
+        "prefix": lambda: ours("prefix"),
+        "pinv": lambda: ours("pinv"),
+        "pinv-detached": lambda: ours("pinv-detached"),
         "reference-style plain": lambda: plain(params, obs, noise),
         "reference-style guided": lambda: guided(params, obs, noise, overlap, s, d),
-        "prefix-per-token": lambda: ours(policy, obs, s, d, name="prefix", fast=False),
+        "prefix-per-token": lambda: ours("prefix", fast=False),
     }
     for left, right in (
         ("plain", "reference-style plain"),

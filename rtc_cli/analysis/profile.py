@@ -23,10 +23,10 @@ from jaxtyping import Array, Float
 
 from rtc_cli.core.flow import Velocity
 from rtc_cli.core.geometry import ChunkGeometry
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig, get_network
+from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig, TimeTable, get_network
 from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.files import write_json
-from rtc_cli.samplers import ChunkRequest, get_sampler
+from rtc_cli.samplers import ChunkRequest, Sampler, get_sampler
 from rtc_cli.units import Rounding, latency_to_delay
 
 PER_TOKEN = "prefix-per-token"
@@ -226,21 +226,26 @@ def _inputs(policy: Policy, batch: int, seed: int) -> tuple[Array, ...]:
 def _compile(
     name: str, sample: Sample, policy: Policy, inputs: tuple[Array, ...], flow_steps: int
 ) -> Program:
-    def chunk(policy: Policy, inputs: tuple[Array, ...], unroll: bool) -> Array:
+    def chunk(
+        policy: Policy, table: TimeTable | None, inputs: tuple[Array, ...], unroll: bool
+    ) -> Array:
         observations, noise, overlap, exec_horizon, delay = inputs
         geometry = ChunkGeometry(policy.config.horizon, exec_horizon, delay)
         request = ChunkRequest(geometry, flow_steps, noise, overlap)
-        return sample(policy.velocity(observations), request, unroll=unroll)
+        return sample(policy.velocity(observations, table), request, unroll=unroll)
 
-    jitted = jax.jit(chunk, static_argnums=2)
+    # A sampler's time table is computed once per checkpoint and K, not once per chunk.
+    table = policy.time_table(sample.times(flow_steps)) if isinstance(sample, Sampler) else None
+    arguments = (policy, table, inputs)
+    jitted = jax.jit(chunk, static_argnums=3)
     start = time.perf_counter()
-    compiled = jitted.lower(policy, inputs, False).compile()
+    compiled = jitted.lower(*arguments, False).compile()
     compile_s = time.perf_counter() - start
     for _ in range(WARM_UP_CALLS):
-        compiled(policy, inputs).block_until_ready()
+        compiled(*arguments).block_until_ready()
     # A loop's body is counted once, so the costs are those of the same program without loops.
-    flops, accessed = _costs(jitted.lower(policy, inputs, True).compile())
-    return Program(name, lambda: compiled(policy, inputs), compile_s, flops, accessed)
+    flops, accessed = _costs(jitted.lower(*arguments, True).compile())
+    return Program(name, lambda: compiled(*arguments), compile_s, flops, accessed)
 
 
 def _costs(compiled: Any) -> tuple[float | None, float | None]:

@@ -199,11 +199,25 @@ class Policy:
         """The network with this policy's parameters (a `Network`)."""
         return nnx.merge(_graph(self.config), self.params)
 
-    def velocity(self, observations: Float[Array, "B O"]) -> "PolicyVelocity":
-        """The velocity field for normalised observations: what a sampler is called with."""
+    def time_table(self, times: np.ndarray) -> "TimeTable":
+        """The network's conditioning at some flow times (N,), for `velocity` to reuse.
+
+        A sampler's times are `sampler.times(flow_steps)`. Computed once per checkpoint, it spares
+        every chunk the time embedding and the adaLN layers, most of the weights of a small batch.
+        """
+        conditioning = self.network.condition(jnp.asarray(times, jnp.float32))
+        return TimeTable(tuple(np.asarray(times, np.float32).tolist()), conditioning)
+
+    def velocity(
+        self, observations: Float[Array, "B O"], table: "TimeTable | None" = None
+    ) -> "PolicyVelocity":
+        """The velocity field for normalised observations: what a sampler is called with.
+
+        With a `table` of the sampler's times, its conditioning is not computed again.
+        """
         _check_shape("observations", observations, (None, self.config.obs_dim))
         observations = jnp.asarray(observations, jnp.float32)
-        return PolicyVelocity(self.config, self.params, observations)
+        return PolicyVelocity(self.config, self.params, observations, table)
 
     def loss(
         self,
@@ -257,6 +271,15 @@ class Policy:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
+class TimeTable:
+    """A network's conditioning at known flow times; row i belongs to times[i]."""
+
+    times: tuple[float, ...] = field(metadata={"static": True})
+    conditioning: Any
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
 class PolicyVelocity:
     """A policy's velocity field for a batch of observations.
 
@@ -267,16 +290,21 @@ class PolicyVelocity:
     config: PolicyConfig = field(metadata={"static": True})
     params: Params
     observations: Float[Array, "B O"]
+    table: TimeTable | None = None
 
     def __call__(self, x: Float[Array, "B H A"], tau: Float[Array, "B H"]) -> Float[Array, "B H A"]:
         network = nnx.merge(_graph(self.config), self.params)
         return network.velocity_per_token(self.observations, x, tau)
 
-    def tabulate(self, times: Float[Array, " N"]) -> "TableVelocity":
-        """The same field for tokens whose flow times are rows of a table."""
+    def tabulate(self, times: np.ndarray) -> "TableVelocity":
+        """The same field for tokens whose flow times are rows of a table of times (N,)."""
         network = nnx.merge(_graph(self.config), self.params)
         observed = network.observe(self.observations)
-        return TableVelocity(self.config, self.params, network.condition(times), observed)
+        if self.table is None or self.table.times != tuple(np.asarray(times, np.float32).tolist()):
+            conditioning = network.condition(jnp.asarray(times, jnp.float32))
+        else:
+            conditioning = self.table.conditioning
+        return TableVelocity(self.config, self.params, conditioning, observed)
 
 
 @jax.tree_util.register_dataclass

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from numpy.typing import NDArray
 
 from rtc_cli.core.geometry import ChunkGeometry
-from rtc_cli.core.policy import PhysicalActions, Policy
+from rtc_cli.core.policy import PhysicalActions, Policy, TimeTable
 from rtc_cli.errors import DivergedError
 from rtc_cli.execution.timeline import FIRST_CHUNK_TICK
 from rtc_cli.samplers import ChunkRequest, Sampler
@@ -56,6 +56,7 @@ def chunk_noise(
 @partial(jax.jit, static_argnames=("sampler", "flow_steps"))
 def infer(
     policy: Policy,
+    table: TimeTable,
     key: PRNGKeyArray,
     observations: Float[Array, "B O"],
     episodes: Int[Array, " B"],
@@ -82,7 +83,8 @@ def infer(
         overlap=overlap,
         delay=None,
     )
-    chunk = sampler(policy.velocity(policy.normaliser.observations(observations)), request)
+    normalised = policy.normaliser.observations(observations)
+    chunk = sampler(policy.velocity(normalised, table), request)
     old = (jnp.arange(horizon) < delay)[None, :, None]
     return chunk, policy.normaliser.physical(jnp.where(old, overlap, chunk))
 
@@ -109,6 +111,7 @@ class ChunkMaker:
         self._flow_steps = flow_steps
         self._key = noise_key(eval_seed, task)
         self._task = task
+        self._tables: dict[Sampler, TimeTable] = {}
         self.tile = tile
 
     @property
@@ -169,6 +172,7 @@ class ChunkMaker:
         count = len(episodes)
         chunk, physical = infer(
             self._policy,
+            self._table(sampler),
             self._key,
             self._pad(observations, np.float32),
             self._pad(episodes, np.int32),
@@ -189,6 +193,11 @@ class ChunkMaker:
                 "train again, or evaluate another checkpoint",
             )
         return result, np.asarray(physical.array)[:count]
+
+    def _table(self, sampler: Sampler) -> TimeTable:
+        if sampler not in self._tables:
+            self._tables[sampler] = self._policy.time_table(sampler.times(self._flow_steps))
+        return self._tables[sampler]
 
     def _pad(self, rows: NDArray[np.generic], dtype: type) -> NDArray[np.generic]:
         padded = np.zeros((self.tile, *rows.shape[1:]), dtype)

@@ -119,9 +119,10 @@ class Sampler(abc.ABC):
         body once.
         """
         request = _checked(request)
-        times = jnp.asarray(self.times(request.flow_steps), jnp.float32)
+        times = self.times(request.flow_steps)
         if not hasattr(velocity, "tabulate"):
-            return self._solve(_Opaque(velocity, times), request, unroll)
+            opaque = _Opaque(velocity, jnp.asarray(times, jnp.float32))
+            return self._solve(opaque, request, unroll)
         table = velocity.tabulate(times)
         batch = request.noise.shape[0]
         if unroll or batch <= TILE or jax.default_backend() != "cpu":

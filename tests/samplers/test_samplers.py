@@ -167,7 +167,7 @@ def test_overlap_beyond_its_end_is_ignored(name, policy):
 
 @pytest.mark.parametrize("name", SAMPLERS)
 def test_tiles_give_rows_of_their_own(name, policy):
-    """130 examples in tiles of 64: each row is what its tile alone gives, bit for bit."""
+    """130 examples in tiles of 64: each row is what its tile alone gives."""
     sampler = jax.jit(get_sampler(name).__call__)
     many, obs = request(batch=130), observations(130)
     whole = sampler(policy.velocity(obs), many)
@@ -176,6 +176,26 @@ def test_tiles_give_rows_of_their_own(name, policy):
     np.testing.assert_allclose(whole[64:128], sampler(policy.velocity(second[0]), part), atol=1e-6)
     unrolled = get_sampler(name)(policy.velocity(obs), many, unroll=True)
     np.testing.assert_allclose(whole, unrolled, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", SAMPLERS)
+def test_a_ready_time_table_changes_nothing(name, policy):
+    sampler, obs = get_sampler(name), observations()
+    table = policy.time_table(sampler.times(K))
+    expected = sampler(policy.velocity(obs), request())
+    np.testing.assert_allclose(sampler(policy.velocity(obs, table), request()), expected, atol=1e-6)
+    other = policy.time_table(sampler.times(K + 1))  # of other times: not used
+    np.testing.assert_allclose(sampler(policy.velocity(obs, other), request()), expected, atol=1e-6)
+
+
+def test_a_ready_time_table_is_used(policy):
+    sampler, obs = get_sampler("plain"), observations()
+    table = policy.time_table(sampler.times(K))
+    doubled = dataclasses.replace(
+        table, conditioning=jax.tree.map(lambda t: 2 * t, table.conditioning)
+    )
+    plain, changed = (sampler(policy.velocity(obs, t), request()) for t in (table, doubled))
+    assert float(jnp.abs(plain - changed).max()) > 1e-3
 
 
 def test_pinv_gradient_against_finite_differences(policy):
