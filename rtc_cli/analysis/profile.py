@@ -3,7 +3,8 @@
 All programs are compiled first and warmed up; then rounds follow, and in each every program is
 called once, in an order drawn anew, and waited for. So a machine that slows down slows all of
 them down, and the ratio to `plain` is taken within rounds. One chunk is everything from a
-normalised observation to a chunk: the observation's projection, the time table, all flow steps.
+normalised observation to a chunk: the observation's projection and all flow steps. The time table
+belongs to the checkpoint and is computed before, as in an evaluation.
 
 The baseline `prefix-per-token` is what a user would write first: batch-major, time embedding and
 adaLN for every token in every step.
