@@ -333,7 +333,7 @@ def _offset(progress: Progress | None, start: int, total: int) -> Callable[[], N
 @contextmanager
 def _no_compilation_cache() -> Iterator[None]:
     """Compile for real: a program read from a cache would have no compile time to speak of."""
-    before = jax.config.jax_enable_compilation_cache
+    before = jax.config.jax_enable_compilation_cache  # type: ignore[attr-defined]
     jax.config.update("jax_enable_compilation_cache", False)
     try:
         yield
