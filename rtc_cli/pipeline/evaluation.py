@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rtc_cli.errors import StateError
+from rtc_cli.errors import DivergedError, StateError
 from rtc_cli.execution.methods import METHODS, Method, get_method, get_methods
 from rtc_cli.files import write_json
 from rtc_cli.pipeline.executors import Progress
@@ -269,24 +269,60 @@ def tuning_target(run: Run, config: TuneConfig, task: str) -> Target:
     )
 
 
+def try_settings(target: Target, cells: Sequence[Cell], progress: Progress) -> None:
+    """Evaluate every setting of the grid; one that diverges is noted and left out.
+
+    Strong guidance may overflow. That rules the setting out; it is no reason to stop.
+    """
+    tried = [cell for cell in cells if not _diverged_path(target, cell).is_file()]
+    for done, cell in enumerate(tried):
+        progress(done, len(tried), cell.method.name)
+        try:
+            evaluate(target, (cell,), lambda *_: None)
+        except DivergedError as error:
+            write_json(
+                _diverged_path(target, cell), {"method": cell.method.name, "why": str(error)}
+            )
+
+
+def _diverged_path(target: Target, cell: Cell) -> Path:
+    settings = "_".join(str(value) for _, value in cell.method.settings)
+    return target.store / "diverged" / f"{target.task}_d{cell.geometry.delay}_{settings}.json"
+
+
+def _diverged_methods(store: Path) -> set[str]:
+    files = (store / "diverged").glob("*.json")
+    return {json.loads(file.read_text(encoding="utf-8"))["method"] for file in files}
+
+
 def choose_tuned(folder: Path, progress: Progress) -> None:
     """Keep the settings with the best mean success over tasks and tuning delays.
 
-    Ties go to the setting that comes first in the grid. Writes `results/tuned.json`.
+    A setting that diverged anywhere is out. Ties go to the setting that comes first in the grid.
+    Writes `results/tuned.json`.
     """
     from rtc_cli.results import ResultStore
 
     run = open_run(folder)
     config = _tune_config(run)
-    rows = ResultStore(run.results / "validation").load()
+    store = run.results / "validation"
+    rows, diverged = ResultStore(store).load(), _diverged_methods(store)
     per_cell = rows.groupby(["method", "task", "delay"])["solved"].mean()
     success = per_cell.groupby("method").mean()
-    grid = {method.name: method for method in tuning_grid(config)}
-    ranked = [
-        {"settings": dict(method.settings), "success": float(success[name])}
-        for name, method in grid.items()
+    grid = tuning_grid(config)
+    ranked: list[dict[str, Any]] = [
+        {
+            "settings": dict(method.settings),
+            "success": None if method.name in diverged else float(success[method.name]),
+        }
+        for method in grid
     ]
-    best = max(ranked, key=lambda entry: float(entry["success"]))  # type: ignore[arg-type]
+    finite = [entry for entry in ranked if entry["success"] is not None]
+    if not finite:
+        raise DivergedError(
+            f"all {len(ranked)} settings of eval.tune diverged", "try smaller guidance weights"
+        )
+    best = max(finite, key=lambda entry: float(entry["success"]))
     write_json(
         tuned_path(run),
         {

@@ -164,7 +164,7 @@ def _tuning(run: Run) -> list[Job]:
         name = f"tune pinv · {task}"
         target = evaluation.tuning_target(run, config, task)
         need = (_policy_name(task, config.train_seed, "base"),)
-        jobs.append(Job(name, TUNING, partial(evaluation.evaluate, target, cells), need))
+        jobs.append(Job(name, TUNING, partial(evaluation.try_settings, target, cells), need))
         names.append(name)
     choose = partial(evaluation.choose_tuned, run.folder)
     return [*jobs, Job(_CHOOSE, TUNING, choose, tuple(names))]
