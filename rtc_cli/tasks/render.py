@@ -12,6 +12,7 @@ import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -64,9 +65,10 @@ BACKGROUND: Color = (250, 250, 248)
 INK: Color = (45, 48, 54)
 FAINT: Color = (222, 224, 228)
 FLAME: Color = (240, 180, 20)
-CHUNK_COLORS: tuple[Color, Color] = (((172, 196, 226)), (112, 146, 190))
+CHUNK_COLORS: tuple[Color, Color] = ((172, 196, 226), (112, 146, 190))
 HOLD_COLOR: Color = (226, 226, 226)
 DELAY_COLOR: Color = (45, 48, 54)
+CURSOR: Color = (200, 30, 90)
 
 SUPERSAMPLE = 2  # drawn larger and scaled down: smooth edges
 FLAME_M = 0.35  # length of a flame at full thrust
@@ -225,15 +227,16 @@ def _outline(shape: Shape) -> tuple[Sequence[Vec], float]:
         return shape.vertices, 0.0
     if isinstance(shape, Circle):
         return (shape.offset,), shape.radius
-    assert isinstance(shape, Segment)
-    return (shape.start, shape.end), shape.radius
+    if isinstance(shape, Segment):
+        return (shape.start, shape.end), shape.radius
+    raise TypeError(f"shapes of type {type(shape).__name__} cannot be drawn")
 
 
 def _draw_shape(
     draw: ImageDraw.ImageDraw, camera: _Camera, shape: Shape, body: Body, pose: StateArray
 ) -> None:
     color = ROLE_COLORS[shape.role]
-    edge = tuple(int(0.72 * c) for c in color)
+    edge = _darker(color)
     outline, radius = _outline(shape)
     points = [camera(_placed(point, pose)) for point in outline]
     r = radius * camera.scale
@@ -248,6 +251,10 @@ def _draw_shape(
             draw.ellipse((x - r, y - r, x + r, y + r), fill=color)
     else:
         draw.polygon(points, fill=color, outline=edge, width=SUPERSAMPLE)
+
+
+def _darker(color: Color) -> Color:
+    return (int(0.72 * color[0]), int(0.72 * color[1]), int(0.72 * color[2]))
 
 
 def _draw_flame(
@@ -330,13 +337,17 @@ def _bar(trace: Trace, tick: int, width: int) -> Image.Image:
     for start, ready in trace.inferences:
         if start < trace.ticks and ready > start:
             end = at(min(ready, trace.ticks)) - 1
-            draw.rectangle((at(start), top + thick - 3, end, top + thick), fill=DELAY_COLOR)
+            draw.rectangle((at(start) + 1, top + thick - 3, end, top + thick), fill=DELAY_COLOR)
     here = min(at(tick), width - pad)
-    draw.line((here, 0, here, top + thick + 4), fill=(200, 30, 90), width=2)
+    draw.line((here, 0, here, top + thick + 4), fill=CURSOR, width=2)
     text = f"step {tick}"
     if tick == trace.ticks:
         text += f": {STATUS_NAMES[trace.status]}"
     draw.text((pad, top + thick + 6), text, fill=INK, font=_font(13))
+    room = width - 3 * pad - draw.textlength(text, font=_font(13))
+    length = draw.textlength(trace.caption, font=_font(13))
+    if length < room:
+        draw.text((width - pad - length, top + thick + 6), trace.caption, INK, _font(13))
     return image
 
 
@@ -357,7 +368,7 @@ def _heading(scene: Scene, trace: Trace, width: int) -> Image.Image:
         x = _entry(draw, 12, 60, CHUNK_COLORS[0], "every action from the latest observation")
     if any(ready > start for start, ready in trace.inferences):
         x = _entry(draw, x, 60, DELAY_COLOR, "next chunk is being computed (delay)")
-    _entry(draw, x, 60, (200, 30, 90), "step shown")
+    _entry(draw, x, 60, CURSOR, "step shown")
     return image
 
 
@@ -373,4 +384,20 @@ def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 
 def _quantised(frame: Image.Image) -> Image.Image:
-    return frame.quantize(64, dither=Image.Dither.NONE)
+    return frame.quantize(palette=_palette(), dither=Image.Dither.NONE)
+
+
+@cache
+def _palette() -> Image.Image:
+    """Our own colours and their blends with the background: small parts keep their colour too."""
+    bodies = [*ROLE_COLORS.values()]
+    edges = [_darker(color) for color in bodies]
+    rest = [*CHUNK_COLORS, HOLD_COLOR, DELAY_COLOR, FLAME, CURSOR]
+    colors = [BACKGROUND]
+    for color in (*bodies, *edges, *rest):
+        for share in np.linspace(0.25, 1.0, 6):
+            blend = share * np.array(color) + (1.0 - share) * np.array(BACKGROUND)
+            colors.append((int(blend[0]), int(blend[1]), int(blend[2])))
+    image = Image.new("P", (1, 1))
+    image.putpalette([part for color in colors for part in color])
+    return image

@@ -23,7 +23,9 @@ from rtc_cli.tasks.scene import Role, Status
 
 
 def pixels(image: Image.Image, color: tuple[int, int, int]) -> int:
-    return int((np.asarray(image) == color).all(axis=-1).sum())
+    """Pixels of about this colour: edges are blends."""
+    difference = np.abs(np.asarray(image.convert("RGB"), int) - np.array(color))
+    return int((difference.max(axis=-1) < 45).sum())
 
 
 @pytest.fixture(scope="module")
@@ -88,12 +90,13 @@ def test_the_delay_and_holding_still_are_marked(catcher, trace):
 
 def test_a_gif_plays_in_real_time(catcher, trace, tmp_path):
     path = tmp_path / "episode.gif"
-    save_gif(catcher, trace, path, width=120)
+    save_gif(catcher, trace, path, width=240)
     with Image.open(path) as gif:
         durations = []
         for frame in range(gif.n_frames):
             gif.seek(frame)
             durations.append(gif.info["duration"])
+        assert pixels(gif, ROLE_COLORS[Role.TARGET]) > 8  # small parts keep their colour
     episode_ms = 1000 * trace.ticks / catcher.control_hz
     assert sum(durations) - 1000 == pytest.approx(episode_ms, rel=0.1)
 
@@ -106,4 +109,4 @@ def test_a_film_strip_holds_the_pictures_asked_for(catcher, trace, tmp_path):
         assert a.width == b.width
         row = draw_frame(catcher, trace, 0, width=120).height
         assert b.height - a.height == pytest.approx(2 * row, abs=20)
-        assert pixels(a.convert("RGB"), BACKGROUND) > 0
+        assert pixels(a, BACKGROUND) > 0
