@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
+import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -27,6 +30,9 @@ if TYPE_CHECKING:
     from rtc_cli.experts.policy import ExpertPolicy
     from rtc_cli.training.checkpoints import CheckpointMeta
     from rtc_cli.training.loop import EpochMetrics, TrainState
+
+SAVE_SECONDS = 10.0
+"""Training is saved at the first epoch that ends so long after the last save."""
 
 PREFIX = "prefix"
 """The checkpoint trained with the recipe's own delays; an ablation's variants have other names."""
@@ -141,10 +147,14 @@ class _Fit:
         state = self._start()
         self.curve.cut(state.epoch if state is not None else 0)
 
+        saved = -math.inf
+
         def on_epoch(state: TrainState, metrics: EpochMetrics) -> None:
+            nonlocal saved
             self.curve.add(metrics)
-            if state.epoch < self.stop_epoch:
+            if state.epoch < self.stop_epoch and time.monotonic() - saved > SAVE_SECONDS:
                 save_progress(self.partial, state, self.meta)
+                saved = time.monotonic()
 
         def on_step(step: Step) -> None:
             note = f"loss {step.loss:.3f}, {step.samples_per_s:,.0f} samples/s"
@@ -165,8 +175,6 @@ class _Fit:
 
     def clean_up(self) -> None:
         """Remove the states of unfinished training, once the checkpoint stands."""
-        import shutil
-
         shutil.rmtree(self.partial, ignore_errors=True)
 
     def _start(self) -> TrainState | None:
