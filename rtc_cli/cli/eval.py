@@ -52,6 +52,20 @@ def evaluate(
         str | None,
         typer.Option("--hold", metavar="last|zero", help="What sync executes while it waits."),
     ] = None,
+    mask: Annotated[
+        str | None,
+        typer.Option(
+            "--mask", metavar="exp|linear|zeros|ones", help="How pinv weighs the overlap beyond d."
+        ),
+    ] = None,
+    max_guidance_weight: Annotated[
+        float | None,
+        typer.Option("--max-guidance-weight", metavar="BETA", help="Clip of pinv's weight."),
+    ] = None,
+    prior_std: Annotated[
+        float | None,
+        typer.Option("--prior-std", metavar="SIGMA", help="Standard deviation of pinv's prior."),
+    ] = None,
     matrix: Annotated[
         bool,
         typer.Option("--matrix", help="Add {base, prefix} x {plain, pinv, prefix}."),
@@ -80,7 +94,12 @@ def evaluate(
             "hold": hold,
             "matrix": matrix or (None if methods is None else False),
         }
-        config = _changed(opened.recipe, changes)
+        guidance = {
+            "mask": mask,
+            "max_guidance_weight": max_guidance_weight,
+            "prior_std": prior_std,
+        }
+        config = _changed(opened.recipe, changes, guidance)
         check_evaluation(config, opened.recipe.horizon)
         chosen_tasks = _tasks(tasks, opened.recipe)
         chosen_seeds = _seeds(seeds, opened.recipe)
@@ -91,12 +110,15 @@ def evaluate(
         out.result(evaluation_document(opened, rows), *evaluation_tables(rows))
 
 
-def _changed(recipe: Recipe, changes: dict[str, Any]) -> EvalConfig:
+def _changed(
+    recipe: Recipe, changes: dict[str, Any], guidance: dict[str, str | float | None]
+) -> EvalConfig:
     """Return the recipe's evaluation with the options in place, validated like a recipe."""
     from rtc_cli.recipe import recipe_from_dict
 
     content = recipe.model_dump(mode="json", exclude_none=True)
     content["eval"] |= {name: value for name, value in changes.items() if value is not None}
+    content["eval"]["pinv"] |= {n: value for n, value in guidance.items() if value is not None}
     if changes["methods"] is not None:
         content["eval"].pop("tune", None)
     return recipe_from_dict(content, "options").eval

@@ -371,6 +371,7 @@ def training_figure(curves: Sequence[Row]) -> "Figure":
             axes.plot(curve["epochs"], curve["loss"], color=look.colour, linewidth=1.3, alpha=0.85)
         axes.set_yscale("log")
         tidy(axes, title=task, x="epoch")
+    _cut_first_epoch(panels[0], curves)
     for axes in panels[len(tasks) :]:
         axes.set_visible(False)
     panels[0].set_ylabel("training loss")
@@ -384,6 +385,14 @@ def training_figure(curves: Sequence[Row]) -> "Figure":
         labelcolor=INK,
     )
     return figure
+
+
+def _cut_first_epoch(axes: "Axes", curves: Sequence[Row]) -> None:
+    """Let the scale begin at the second epoch: the first loss would flatten all that follows."""
+    late = [loss for curve in curves for loss in curve["loss"][1:]]
+    if len(late) > 1 and max(late) > min(late) > 0:
+        margin = (max(late) / min(late)) ** 0.1
+        axes.set_ylim(min(late) / margin, max(late) * margin)
 
 
 def _plain_log_ticks(axes: "Axes") -> None:

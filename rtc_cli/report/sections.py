@@ -445,10 +445,13 @@ def training(run: RunInputs) -> Section:
     """Show the training curves."""
     if not run.training:
         return Section("training", "Training", [Note("No training curves in this run.")])
+    # The curve of a finished base policy begins with its fork's.
+    curves = [c for c in run.training if c.get("checkpoint") != "fork"] or run.training
     drawing = Picture(
-        "training", "Training loss by epoch", figures.training_figure(run.training),
-        "One line per training seed. The loss of the prefix policy counts only the actions after "
-        "the prefix, so the two are not measured by the same yardstick.",
+        "training", "Training loss by epoch", figures.training_figure(curves),
+        "One line per training seed; the first epoch may lie above the picture. The loss of the "
+        "prefix policy counts only the actions after the prefix, so the two are not measured by "
+        "the same yardstick.",
     )  # fmt: skip
     lines = [
         [
