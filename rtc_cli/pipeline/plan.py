@@ -6,10 +6,11 @@ belong to a task, data and the fork to a training seed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import chain, product
 
+from rtc_cli.execution.methods import METHODS, Method
 from rtc_cli.pipeline import evaluation, profiling, stages
 from rtc_cli.pipeline.executors import Job
 from rtc_cli.recipe import EvalConfig
@@ -79,31 +80,37 @@ def _variant_evaluations(run: Run, variants: Sequence[str]) -> list[Job]:
 def eval_plan(
     run: Run, config: EvalConfig, tasks: Sequence[str], seeds: Sequence[int] | None = None
 ) -> list[Job]:
-    """Return one job per task and training seed for all methods, and one for `pinv-tuned`."""
-    cells = evaluation.cells_of(config, run.recipe.horizon, evaluation.methods_of(config))
+    """Return one job per task, training seed and distinct way of making chunks.
+
+    Methods that differ in their name only share a job: no two jobs compute the same cell.
+    """
+    horizon = run.recipe.horizon
+    groups: dict[tuple[object, ...], list[Method]] = {}
+    for method in evaluation.methods_of(config):
+        content = (method.checkpoint, method.sampler, method.settings, method.schedule)
+        groups.setdefault(content, []).append(method)
+    plans = [
+        (methods, evaluation.cells_of(config, horizon, methods)) for methods in groups.values()
+    ]
     tuned = evaluation.TUNED in config.methods or config.tune is not None
     jobs: list[Job] = []
     for task, seed in product(tasks, run.recipe.train.seeds if seeds is None else seeds):
         target = evaluation.target_of(run, config, task, seed)
-        needs = (_policy_name(task, seed, "base"), _policy_name(task, seed, stages.PREFIX))
-        jobs.append(
-            Job(
-                f"evaluate · {task} · seed {seed}",
-                EVALUATION,
-                partial(evaluation.evaluate, target, cells),
-                needs,
-            )
-        )
+        for methods, cells in plans:
+            work = partial(evaluation.evaluate, target, cells)
+            jobs.append(_evaluation(task, seed, methods[0], work))
         if tuned:
-            jobs.append(
-                Job(
-                    f"evaluate tuned · {task} · seed {seed}",
-                    EVALUATION,
-                    partial(evaluation.evaluate_tuned, target, config),
-                    (*needs, _CHOOSE),
-                )
-            )
+            work = partial(evaluation.evaluate_tuned, target, config)
+            jobs.append(_evaluation(task, seed, METHODS["pinv"], work, tuned=True))
     return jobs
+
+
+def _evaluation(
+    task: str, seed: int, method: Method, work: Callable[..., None], *, tuned: bool = False
+) -> Job:
+    name = f"evaluate {evaluation.TUNED if tuned else method.name} · {task} · seed {seed}"
+    needs = (_policy_name(task, seed, method.checkpoint), *((_CHOOSE,) if tuned else ()))
+    return Job(name, EVALUATION, work, needs)
 
 
 def profile_plan(run: Run) -> list[Job]:
