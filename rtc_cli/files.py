@@ -10,7 +10,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +109,32 @@ def new_folder(path: Path | str) -> Iterator[Path]:
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def remove_remains(folder: Path | str) -> None:
+    """Remove, anywhere in a folder, temporary files and folders of writers that were ended.
+
+    Only where nobody else writes: what another process is building would go too.
+    """
+    for remains in list(Path(folder).rglob(".*.tmp")):
+        if remains.is_dir() and not remains.is_symlink():
+            shutil.rmtree(remains, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                remains.unlink()
+
+
+def read_json(path: Path | str, what: str) -> Any:
+    """Read a JSON file of ours; StateError naming it and `what` it is where it is damaged."""
+    path = Path(path)
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise os_error(error, path) from error
+    except ValueError:
+        raise StateError(
+            f"{what} is damaged: {path} cannot be read", "remove that file, then run again"
+        ) from None
 
 
 def sha256_file(path: Path | str) -> str:

@@ -63,7 +63,12 @@ def _unique(values: tuple[Any, ...]) -> tuple[Any, ...]:
 Delays = Annotated[
     tuple[Count, ...], Field(min_length=1), BeforeValidator(_read_delays), Field(max_length=1000)
 ]
-Seeds = Annotated[tuple[Count, ...], Field(min_length=1)]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+Seeds = Annotated[tuple[Seed, ...], Field(min_length=1)]
+# Each training seed's episodes are numbered from 1,000,000 (seed + 1); experts' begin at
+# 900,000,000.
+TrainSeed = Annotated[int, Field(ge=0, lt=899)]
+TrainSeeds = Annotated[tuple[TrainSeed, ...], Field(min_length=1)]
 Names = Annotated[tuple[str, ...], Field(min_length=1)]
 
 
@@ -156,7 +161,7 @@ class NetworkConfig(Section):
 class TrainConfig(Section):
     """Flow-matching training; the prefix policy takes the last `prefix_fraction` of the epochs."""
 
-    seeds: Seeds = (0,)
+    seeds: TrainSeeds = (0,)
     batch: Positive = 256
     epochs: Positive = 21
     learning_rate: PositiveFloat = 1e-3
@@ -184,7 +189,7 @@ class TuneConfig(Section):
     `train_seed` is the development seed whose base policies they are tried on.
     """
 
-    train_seed: Count = 90
+    train_seed: TrainSeed = 90
     max_guidance_weight: Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)] = (
         1.0,
         5.0,
@@ -192,7 +197,7 @@ class TuneConfig(Section):
     )
     prior_std: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (0.5, 1.0)
     mask: Annotated[tuple[Mask, ...], Field(min_length=1)] = ("exp",)
-    episodes: Positive = 128
+    episodes: Annotated[int, Field(ge=1, le=100_000)] = 128
     delays: Delays = (2, 4)
     first_episode: Annotated[int, Field(ge=500_000, lt=900_000)] = 500_000
 
@@ -203,9 +208,9 @@ class EvalConfig(Section):
     delays: Delays = (0, 1, 2, 3, 4)
     protocols: Names = ("paper",)
     methods: Names = ("naive", "pinv", "prefix")
-    episodes: Positive = 512
+    episodes: Annotated[int, Field(ge=1, le=100_000)] = 512
     flow_steps: Positive = 5
-    seed: Count = 0
+    seed: Seed = 0
     first_episode: Annotated[int, Field(ge=0, lt=400_000)] = 0
     hold: Literal["last", "zero"] = "last"
     matrix: bool = False
@@ -245,10 +250,12 @@ class AblationConfig(Section):
         if len(self.variants) < 2:
             raise ValueError(f"needs at least 2 variants, not {len(self.variants)}")
         for name in self.variants:
-            if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
+            if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", name):
                 raise ValueError(
                     f'variant name "{name}" may hold letters, digits, "_", "." and "-"'
                 )
+            if name in ("base", "fork"):
+                raise ValueError(f'variant name "{name}" is that of another checkpoint')
         if self.baseline not in self.variants:
             nearest = did_you_mean(self.baseline, self.variants)
             raise ValueError(f'baseline "{self.baseline}" is no variant.{nearest}')
@@ -279,6 +286,15 @@ class Recipe(Section):
             raise ValueError(
                 f"eval.tune.train_seed {tune.train_seed} is one of train.seeds; tune on a seed "
                 "that is not evaluated"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_batch(self) -> Self:
+        if self.train.batch > self.data.transitions:
+            raise ValueError(
+                f"train.batch {self.train.batch} exceeds data.transitions "
+                f"{self.data.transitions}: there would be no whole minibatch"
             )
         return self
 
@@ -328,6 +344,8 @@ def find_recipe(name_or_path: str | Path) -> Path:
     path = Path(text)
     if path.is_file():
         return path
+    if text and path.is_dir():
+        raise UsageError(f"recipe {path} is a folder, not a file", "give the path of a .toml file")
     if path.suffix == ".toml":
         raise UsageError(f"recipe file {path} does not exist", "check the path")
     raise UsageError(
@@ -385,7 +403,11 @@ def _flatten(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise UsageError(
+            f"{path}: broken TOML: byte {error.start} is not UTF-8", "save the file as UTF-8"
+        ) from None
+    except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{path}: broken TOML: {error}", "mend the file at that place") from None
     except OSError as error:
         raise os_error(error, path) from error
@@ -397,6 +419,12 @@ def _usage_error(error: ValidationError, source: str) -> UsageError:
     return UsageError(f"{source}: {_describe(details[0])}{more}", "mend the recipe or the --set")
 
 
+_PLAIN = {
+    "too_short": "Needs at least one value",
+    "model_type": "Is a section, not a value",
+}
+
+
 def _describe(detail: ErrorDetails) -> str:
     keys = [str(part) for part in detail["loc"]]
     where = ".".join(keys)
@@ -405,6 +433,7 @@ def _describe(detail: ErrorDetails) -> str:
         return f'unknown key "{where}".{did_you_mean(keys[-1], _keys_of(keys[:-1]))}'
     if detail["type"] == "missing":
         return f'"{where}" is missing; it has to be given'
+    message = _PLAIN.get(detail["type"], message)
     value = json.dumps(detail["input"], default=str)
     if isinstance(detail["input"], dict) or len(value) > 120:
         return f"{where}: {message}" if where else message

@@ -27,7 +27,7 @@ from typing import Any
 
 from rtc_cli import __version__
 from rtc_cli.errors import StateError
-from rtc_cli.files import new_folder, os_error, write_json, write_text
+from rtc_cli.files import new_folder, os_error, remove_remains, write_json, write_text
 from rtc_cli.recipe import Recipe, differing_keys, load_recipe, recipe_to_toml
 
 RUNS_FOLDER = Path("runs")
@@ -71,8 +71,12 @@ class Run:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Be the run's only writer within the block; StateError where another process is."""
+        """Be the run's only writer within the block; StateError where another process is.
+
+        What a writer that was ended left half-written is removed.
+        """
         with _lock(self.folder):
+            remove_remains(self.folder)
             yield
 
 

@@ -33,7 +33,7 @@ def start(
                 "leave --set away to go on with it, or name a recipe and another --run folder",
             )
         return open_run(folder)
-    loaded = load_recipe(recipe or default, overrides or ())
+    loaded = load_recipe(default if recipe is None else recipe, overrides or ())
     _check(loaded, ablation=default != DEFAULT_RECIPE)
     if resume and folder is None:
         return newest_run(loaded)

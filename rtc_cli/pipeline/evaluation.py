@@ -6,7 +6,6 @@ A cell that is present is never computed again, under whatever method or protoco
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from rtc_cli.errors import DivergedError, StateError
 from rtc_cli.execution.methods import METHODS, Method, get_method, get_methods
-from rtc_cli.files import write_json
+from rtc_cli.files import read_json, write_json
 from rtc_cli.pipeline.executors import Progress
 from rtc_cli.pipeline.stages import PREFIX
 from rtc_cli.recipe import EvalConfig, TuneConfig
@@ -292,7 +291,7 @@ def _diverged_path(target: Target, cell: Cell) -> Path:
 
 def _diverged_methods(store: Path) -> set[str]:
     files = (store / "diverged").glob("*.json")
-    return {json.loads(file.read_text(encoding="utf-8"))["method"] for file in files}
+    return {read_json(file, "result of tuning")["method"] for file in files}
 
 
 def choose_tuned(folder: Path, progress: Progress) -> None:
@@ -352,7 +351,7 @@ def tuned_method(run: Run) -> Method:
             f'method "{TUNED}" has no settings yet: {path} is missing',
             'give the recipe an [eval.tune] section and run it with "rtc run"',
         )
-    settings = json.loads(path.read_text(encoding="utf-8"))["settings"]
+    settings = read_json(path, "result of tuning")["settings"]
     return get_method("pinv").with_settings(name=TUNED, **settings)
 
 

@@ -15,9 +15,10 @@ import queue
 import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -113,13 +114,24 @@ def _schedule(
         ready = [job for job in waiting if open_names.isdisjoint(job.needs)]
         for job in ready[: workers - len(running)]:
             waiting.remove(job)
-            running[pool.submit(_work, job)] = job
+            with _sigint_blocked():
+                running[pool.submit(_work, job)] = job
         finished, _ = wait(running, timeout=0.2, return_when=FIRST_COMPLETED)
         _pass_on(messages, listener)
         for future in finished:
             job = running.pop(future)
             listener.finished(job.name, future.result())
             open_names.remove(job.name)
+
+
+@contextmanager
+def _sigint_blocked() -> Iterator[None]:
+    """Hold Ctrl-C back: a process spawned within inherits that, so it cannot die of one early."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _pass_on(messages: Any, listener: Listener) -> None:
@@ -136,10 +148,11 @@ def _stop(pool: ProcessPoolExecutor) -> None:
     # every file appears whole or not at all, so ending them loses nothing.
     processes = list((getattr(pool, "_processes", None) or {}).values())
     pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
-        process.terminate()
-    for process in processes:
-        process.join()
+    with _sigint_blocked():  # an impatient second Ctrl-C waits until they are gone
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join()
 
 
 _messages: Any = None

@@ -8,7 +8,6 @@ when they run.
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import shutil
 import time
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from rtc_cli.errors import StateError
-from rtc_cli.files import write_json
+from rtc_cli.files import read_json, write_json
 from rtc_cli.pipeline.executors import Progress
 from rtc_cli.recipe import DelayConfig
 from rtc_cli.runs import Run, open_run
@@ -90,7 +89,7 @@ def mixture(run: Run, task: str) -> list[ExpertPolicy]:
 
     config = run.recipe.experts
     records = [
-        json.loads((run.experts(task) / f"{seed}.json").read_text(encoding="utf-8"))
+        read_json(run.experts(task) / f"{seed}.json", "record of an expert")
         for seed in config.seeds
     ]
     good = [record["seed"] for record in records if record["success"] >= config.min_success]
@@ -260,7 +259,7 @@ class _Curve:
         write_json(self.path, self.labels | self.columns)
 
     def _read(self, path: Path) -> None:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path, "training curve")
         self.columns = {name: list(found[name]) for name in self._COLUMNS}
 
 
