@@ -15,6 +15,7 @@ JSON, safetensors stores raw arrays.
 import dataclasses
 import hashlib
 import json
+import logging
 import re
 import shutil
 from collections.abc import Iterator, Mapping
@@ -405,7 +406,12 @@ def _load_tree(folder: Path) -> dict[str, Any]:
 
 @contextmanager
 def _refusals_explained(folder: Path | str) -> Iterator[None]:
-    """Turn what orbax says where the disk refuses into a StateError; it keeps no error number."""
+    """Turn what orbax says where the disk refuses into a StateError; it keeps no error number.
+
+    Orbax also logs each refusal with its traceback, which would bury the one line that is printed.
+    """
+    log = logging.getLogger("absl")
+    before, log.disabled = log.disabled, True
     try:
         yield
     except (OSError, StateError):
@@ -416,6 +422,8 @@ def _refusals_explained(folder: Path | str) -> Iterator[None]:
             f"checkpoint {folder} could not be written: {reason}",
             "free some space or choose another folder, then resume",
         ) from error
+    finally:
+        log.disabled = before
 
 
 def _progress_folders(root: Path) -> list[Path]:
