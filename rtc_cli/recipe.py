@@ -368,13 +368,15 @@ def load_recipe(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Reci
     return recipe_from_dict(content, str(path))
 
 
-def recipe_from_dict(content: Mapping[str, Any], source: str = "recipe") -> Recipe:
-    """Validate a plain dictionary strictly; `source` names it in messages."""
+def recipe_from_dict(
+    content: Mapping[str, Any], source: str = "recipe", fix: str = "mend the recipe or the --set"
+) -> Recipe:
+    """Validate a plain dictionary strictly; `source` names it in messages, `fix` is their hint."""
     try:
         # JSON's strict mode is the wanted one: lists become tuples, but "8" is no integer.
         return Recipe.model_validate_json(json.dumps(content, default=str), strict=True)
     except ValidationError as error:
-        raise _usage_error(error, source) from None
+        raise _usage_error(error, source, fix) from None
 
 
 def recipe_to_toml(recipe: Recipe) -> str:
@@ -413,10 +415,10 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise os_error(error, path) from error
 
 
-def _usage_error(error: ValidationError, source: str) -> UsageError:
+def _usage_error(error: ValidationError, source: str, fix: str) -> UsageError:
     details = error.errors(include_url=False)
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    return UsageError(f"{source}: {_describe(details[0])}{more}", "mend the recipe or the --set")
+    return UsageError(f"{source}: {_describe(details[0])}{more}", fix)
 
 
 _PLAIN = {

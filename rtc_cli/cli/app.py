@@ -115,11 +115,6 @@ def _root(
     """
 
 
-def main() -> None:
-    """Run the command line and exit with its code: the console script `rtc`."""
-    sys.exit(run(sys.argv[1:]))
-
-
 def run(args: Sequence[str]) -> int:
     """Run one command line; errors become one line on stderr. Returns the exit code."""
     try:
@@ -189,7 +184,3 @@ def _close_broken_pipe() -> int:
         except BrokenPipeError:
             os.dup2(devnull, stream.fileno())
     return EXIT_BROKEN_PIPE
-
-
-if __name__ == "__main__":
-    main()

@@ -121,7 +121,7 @@ def _changed(
     content["eval"]["pinv"] |= {n: value for n, value in guidance.items() if value is not None}
     if changes["methods"] is not None:
         content["eval"].pop("tune", None)
-    return recipe_from_dict(content, "options").eval
+    return recipe_from_dict(content, "options", fix="change that option").eval
 
 
 def _methods(text: str | None) -> tuple[str, ...] | None:

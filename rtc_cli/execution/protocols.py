@@ -27,6 +27,7 @@ def protocol_cells(protocol: str, horizon: int, delays: Iterable[int]) -> tuple[
     """
     delays = tuple(delays)
     if protocol == "paper":
+        _check_paper(horizon, delays)
         pairs = [(max(delay, 1), delay) for delay in delays]
     elif protocol == "grid":
         pairs = [pair for delay in delays for pair in _legal(horizon, delay)]
@@ -34,6 +35,16 @@ def protocol_cells(protocol: str, horizon: int, delays: Iterable[int]) -> tuple[
         exec_horizon = _fixed(protocol)
         pairs = [(exec_horizon, delay) for delay in delays]
     return tuple(_cell(protocol, horizon, exec_horizon, delay) for exec_horizon, delay in pairs)
+
+
+def _check_paper(horizon: int, delays: tuple[int, ...]) -> None:
+    longest = max(delays, default=0)
+    if longest > horizon // 2:
+        raise UsageError(
+            f'protocol "paper", delay {longest}: s = d and d <= H - s allow delays 0 to '
+            f"{horizon // 2} at horizon {horizon}",
+            f"use delays up to {horizon // 2}",
+        )
 
 
 def _legal(horizon: int, delay: int) -> list[tuple[int, int]]:

@@ -191,7 +191,7 @@ def test_no_permission_to_write(capsys, tmp_path):
 
 
 def test_a_closed_pipe_is_quiet():
-    code = f"{sys.executable} -m rtc_cli.cli.app --help | head -c 1 >/dev/null"
+    code = f"{sys.executable} -m rtc_cli --help | head -c 1 >/dev/null"
     done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == ""
 
@@ -220,7 +220,8 @@ def sleep():
     time.sleep(30)
 sys.modules["rtc_cli.cli.report"] = module
 sys.argv = ["rtc", "report"]
-program.main()
+from rtc_cli.__main__ import main
+main()
 """
 
 

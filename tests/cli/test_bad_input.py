@@ -150,7 +150,7 @@ _TINY = {
     "eval.delays": "0,2",
     "eval.episodes": "12",
 }
-_RTC = [sys.executable, "-m", "rtc_cli.cli.app"]
+_RTC = [sys.executable, "-m", "rtc_cli"]
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ TINY = [
     "profile.rounds=2",
 ]
 SETTINGS = [part for setting in TINY for part in ("--set", setting)]
-COMMAND = [sys.executable, "-m", "rtc_cli.cli.app"]
+COMMAND = [sys.executable, "-m", "rtc_cli"]
 
 
 def _rtc(*args: str, folder: Path) -> subprocess.CompletedProcess[str]:
