@@ -109,13 +109,16 @@ def difference_interval_text(rows: Sequence[Row]) -> str:
 
 
 def answer(summary: Sequence[Row], gaps: Sequence[Row], falls: Sequence[Row]) -> list[str]:
-    """Return the answer in two sentences, computed from the rows of the first protocol."""
+    """Return the answer in two or three sentences, computed from the rows of the first protocol."""
     protocols = list(dict.fromkeys(row["protocol"] for row in summary))
     if not protocols:
         return ["There are no evaluated episodes."]
     first = [_fall_sentence(summary, falls, protocols[0])]
-    second = _comparison_sentence(summary, gaps, protocols[0])
-    return [sentence for sentence in (*first, second) if sentence]
+    comparisons = [
+        _comparison_sentence(summary, gaps, protocols[0], baseline)
+        for baseline in ("pinv", "pinv-tuned")
+    ]
+    return [sentence for sentence in (*first, *comparisons) if sentence]
 
 
 def _fall_sentence(summary: Sequence[Row], falls: Sequence[Row], protocol: str) -> str:
@@ -141,25 +144,29 @@ def _scope(summary: Sequence[Row]) -> str:
     return f"{what}, {len(seeds)} training seed{'s' if len(seeds) > 1 else ''}"
 
 
-def _comparison_sentence(summary: Sequence[Row], gaps: Sequence[Row], protocol: str) -> str:
+def _comparison_sentence(
+    summary: Sequence[Row], gaps: Sequence[Row], protocol: str, baseline: str
+) -> str:
     mine = [
         row
-        for row in pick(gaps, task=ALL, method="prefix", baseline="pinv")
+        for row in pick(gaps, task=ALL, method="prefix", baseline=baseline)
         if fits_protocol(row, protocol)
     ]
+    if not mine and baseline != "pinv":
+        return ""
     if not mine:
         return "prefix and pinv were not both evaluated: they are not compared here."
     last = max(mine, key=lambda row: row["delay"])
     cell = {"delay": last["delay"], "exec_horizon": last["exec_horizon"]}
     scores = {
         name: pick(summary, task=ALL, train_seed=ALL, protocol=protocol, method=name, **cell)
-        for name in ("prefix", "pinv")
+        for name in ("prefix", baseline)
     }
     values = (
         f"prefix solves {points(scores['prefix'][0]['success'])}%, "
-        f"pinv {points(scores['pinv'][0]['success'])}%"
+        f"{baseline} {points(scores[baseline][0]['success'])}%"
         if all(scores.values())
-        else "prefix against pinv"
+        else f"prefix against {baseline}"
     )
     verdict = _verdict(last)
     others = _where_clear([row for row in mine if row is not last])
