@@ -28,13 +28,13 @@ OPTIMISER = optax.chain(optax.clip_by_global_norm(10.0), optax.adamw(3e-4, weigh
 STEPS = 3
 
 
-@functools.partial(jax.jit, static_argnames="loss")
-def train_steps(params: Any, state: Any, loss: Any, *inputs: Any) -> Any:
+@functools.partial(jax.jit, static_argnames="gradient_of")
+def train_steps(params: Any, state: Any, gradient_of: Any, *inputs: Any) -> Any:
     """Return the loss before each of `STEPS` optimizer steps, parameters and optimizer state."""
 
     def step(carry: Any, _: None) -> Any:
         params, state = carry
-        value, gradient = jax.value_and_grad(loss)(params, *inputs)
+        value, gradient = gradient_of(params, *inputs)
         updates, state = OPTIMISER.update(gradient, state, params)
         return (optax.apply_updates(params, updates), state), value
 
@@ -51,17 +51,19 @@ def candidates(batch: int, obs_dim: int) -> dict[str, Any]:
     valid, key = jnp.ones((batch, 8), bool), jax.random.key(3)
 
     def ours(params: Any, delays: Any, obs: Any, actions: Any, valid: Any, key: Any) -> Any:
-        return dataclasses.replace(policy, params=params).loss(obs, actions, valid, key, delays)
+        mine = dataclasses.replace(policy, params=params)
+        return mine.loss_and_gradient(obs, actions, valid, key, delays)
 
     without = functools.partial(_with_delays, ours, None)
     delayed = functools.partial(_with_delays, ours, DelayDistribution.exponential(range(5)))
+    reference_gradient = jax.value_and_grad(reference_style.loss)
     ours_state, reference_state = OPTIMISER.init(policy.params), OPTIMISER.init(reference)
     mine = (obs, actions, valid, key)
     calls = {
         "training": lambda: train_steps(policy.params, ours_state, without, *mine),
         "training with delays": lambda: train_steps(policy.params, ours_state, delayed, *mine),
         "reference-style training": lambda: train_steps(
-            reference, reference_state, reference_style.loss, obs, actions, key
+            reference, reference_state, reference_gradient, obs, actions, key
         ),
     }
     first = [float(calls[name]()[0][0]) for name in ("training", "reference-style training")]

@@ -1,4 +1,4 @@
-"""Flow matching: the path from noise to data, its target, the masked mean of squared errors."""
+"""Flow matching: the path from noise to data, its target, the sum of squared errors that count."""
 
 from collections.abc import Callable
 
@@ -30,16 +30,13 @@ def target_velocity(data: Float[Array, "..."], noise: Float[Array, "..."]) -> Fl
     return data - noise
 
 
-def masked_mean_square(
+def masked_squares(
     error: Float[Array, "H B A"], counted: Bool[Array, "H B"]
-) -> Float[Array, ""]:
-    """Sum of squared errors of the counted tokens over their number of elements; 0 if none count.
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Sum of squared errors of the counted tokens, and their number of elements.
 
-    The number is taken over the whole batch (tokens x action dims), so that with every token
-    counted the result is the ordinary mean. Errors of tokens that do not count may be anything,
-    NaN included.
+    Errors of tokens that do not count may be anything, NaN included.
     """
     # Masked before it is squared: the gradient of what does not count must be 0, not 0 * NaN.
     squares = jnp.square(jnp.where(counted[..., None], error, 0.0))
-    elements = jnp.sum(counted) * error.shape[-1]
-    return jnp.sum(squares) / jnp.maximum(elements, 1)
+    return jnp.sum(squares), jnp.sum(counted, dtype=jnp.float32) * error.shape[-1]

@@ -70,6 +70,7 @@ class Mixer(nnx.Module):
         sizes = mixer_sizes(options)
         channels, layers = sizes["channels"], sizes["layers"]
         self.horizon, self.action_dim, self.layers = horizon, action_dim, layers
+        self.width = max(channels, sizes["channel_hidden"])
         self.input = nnx.Linear(action_dim + obs_dim, channels, rngs=rngs)
         self.time = TimeEmbedding(channels, rngs=rngs)
         # All adaLN layers as one product: six vectors per block, two for the output.

@@ -206,11 +206,7 @@ def train_step(
 ) -> tuple[Any, optax.OptState, Float[Array, ""]]:
     """One optimizer step: (policy', optimizer state', loss before the step)."""
 
-    def loss_of(params: Params) -> Float[Array, ""]:
-        candidate = dataclasses.replace(policy, params=params)
-        return candidate.loss(*batch, key, delays)
-
-    loss, gradient = jax.value_and_grad(loss_of)(policy.params)
+    loss, gradient = policy.loss_and_gradient(*batch, key, delays)
     updates, opt_state = optimizer.update(gradient, opt_state, policy.params)
     params = optax.apply_updates(policy.params, updates)
     return dataclasses.replace(policy, params=params), opt_state, loss

@@ -15,6 +15,7 @@ PACKAGE = Path(rtc_cli.__file__).parent
 LEAVES = {"errors", "units", "files", "intervals"}
 
 ARROWS = {
+    "__main__": {"cli"},
     "cli": {"pipeline", "analysis", "report", "tasks"},
     "pipeline": {"experts", "data", "training", "execution", "analysis"},
     "analysis": {"execution"},

@@ -144,13 +144,30 @@ def test_loss_is_zero_when_nothing_counts(policy, batch):
 
 def test_invalid_steps_do_not_reach_the_gradient(policy):
     """A NaN error of a step that does not count leaves loss and gradient finite."""
-    from rtc_cli.core.flow import masked_mean_square
+    from rtc_cli.core.flow import masked_squares
 
     error = jnp.array([[[1.0], [jnp.nan]]])
     counted = jnp.array([[True, False]])
-    value, gradient = jax.value_and_grad(masked_mean_square)(error, counted)
-    assert float(value) == 1.0
+    (value, number), gradient = jax.value_and_grad(masked_squares, has_aux=True)(error, counted)
+    assert (float(value), float(number)) == (1.0, 1.0)
     assert gradient.ravel().tolist() == [2.0, 0.0]
+
+
+@pytest.mark.parametrize("tile", [1, 2, B])
+def test_gradient_in_tiles_is_the_gradient_of_the_loss(policy, batch, tile, monkeypatch):
+    obs, actions, _ = batch
+    # Unequal numbers of valid steps: a mean of the tiles' means would be wrong.
+    valid = jnp.arange(H) < jnp.array([[1], [H], [3], [2]])
+    key, delays = jax.random.key(5), DelayDistribution.uniform(range(3))
+    monkeypatch.setattr("rtc_cli.core.policy._TILE_ACTIVATIONS", tile * H * 16)
+    loss, gradient = policy.loss_and_gradient(obs, actions, valid, key, delays)
+
+    def loss_of(params):
+        return dataclasses.replace(policy, params=params).loss(obs, actions, valid, key, delays)
+
+    expected_loss, expected = jax.value_and_grad(loss_of)(policy.params)
+    np.testing.assert_allclose(loss, expected_loss, rtol=1e-5)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), gradient, expected)
 
 
 def test_loss_draws_the_same_noise_with_and_without_delays(policy, batch):

@@ -35,6 +35,12 @@ class LinePolicy:
         predicted = shaken @ self.params["w"] + self.params["b"]
         return jnp.mean(jnp.square(predicted - actions[:, 0]) * valid[:, :1])
 
+    def loss_and_gradient(self, *batch):
+        def loss_of(params):
+            return dataclasses.replace(self, params=params).loss(*batch)
+
+        return jax.value_and_grad(loss_of)(self.params)
+
 
 @pytest.fixture
 def windows() -> Windows:
