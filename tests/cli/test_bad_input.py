@@ -212,7 +212,9 @@ DAMAGES = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("command", "damage", "words"), DAMAGES, ids=lambda v: str(v)[:40])
+@pytest.mark.parametrize(
+    ("command", "damage", "words"), DAMAGES, ids=[damage.__name__ for _, damage, _ in DAMAGES]
+)
 def test_damaged_runs(
     command: str, damage: Callable[[Path], None], words: list[str], trained: Path, tmp_path: Path
 ):
