@@ -18,7 +18,7 @@ from alternated import measure, ratio, show_medians, show_ratio
 
 from rtc_cli.core.geometry import ChunkGeometry
 from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig, TimeTable
-from rtc_cli.samplers import ChunkRequest, get_sampler, list_samplers
+from rtc_cli.samplers import ChunkRequest, Sampler, get_sampler, list_samplers
 
 STEPS = 5
 CONFIG = PolicyConfig("mixer", (), horizon=8, obs_dim=40, action_dim=6)
@@ -49,7 +49,15 @@ def candidates(batch: int) -> dict[str, Callable[[], Any]]:
         request = ChunkRequest(ChunkGeometry(8, s, d), STEPS, noise, overlap)
         return get_sampler(name)(velocity, request)
 
+    geometry = ChunkGeometry(8, 2, 2)
+    request = ChunkRequest(geometry, STEPS, noise, overlap)
+    in_threads = (
+        {name: get_sampler(name) for name in list_samplers()} if batch > Sampler.tile else {}
+    )
+
     def ours(name: str, fast: bool = True) -> Any:
+        if fast and name in in_threads:  # a large batch, called as a function: tiles on threads
+            return in_threads[name](policy.velocity(obs, tables[name]), request)
         return sample(policy, tables[name], obs, s, d, name, fast)
 
     plain = jax.jit(functools.partial(reference_style.plain, steps=STEPS))

@@ -7,6 +7,9 @@ token-major (H, B, A); a request and a chunk are batch-major (B, H, A).
 
 import abc
 import dataclasses
+import functools
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol
 
@@ -19,9 +22,6 @@ from rtc_cli.core.flow import Velocity
 from rtc_cli.core.geometry import ChunkGeometry, known
 from rtc_cli.core.policy import PhysicalActions
 from rtc_cli.errors import UsageError
-
-TILE = 64
-"""Examples that pass through all steps together on a CPU: more would not fit its caches."""
 
 
 @jax.tree_util.register_dataclass
@@ -88,6 +88,8 @@ class Sampler(abc.ABC):
     """Maps (velocity, request) to a chunk (B, H, A). Frozen and hashable; fields are settings."""
 
     name: ClassVar[str]
+    tile: ClassVar[int] = 64
+    """Examples that pass through all steps together on a CPU: more would not fit its caches."""
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -125,11 +127,13 @@ class Sampler(abc.ABC):
             return self._solve(opaque, request, unroll)
         table = velocity.tabulate(times)
         batch = request.noise.shape[0]
-        if unroll or batch <= TILE or jax.default_backend() != "cpu":
+        if unroll or batch <= self.tile or jax.default_backend() != "cpu":
             return self._solve(table, request, unroll)
-        return self._solve_in_tiles(table, request, unroll)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((table, request))):
+            return self._solve_in_tiles(table, request)
+        return self._solve_in_threads(table, request)
 
-    def _solve(self, velocity: Field, request: ChunkRequest, unroll: bool) -> Array:
+    def _solve(self, velocity: Field, request: ChunkRequest, unroll: bool = False) -> Array:
         problem = _token_major(request)
         count = request.flow_steps
 
@@ -142,22 +146,53 @@ class Sampler(abc.ABC):
         )
         return jnp.swapaxes(x, 0, 1)
 
-    def _solve_in_tiles(self, table: Any, request: ChunkRequest, unroll: bool) -> Array:
+    def _solve_in_tiles(self, table: Any, request: ChunkRequest) -> Array:
+        """Inside a traced program: a loop over tiles."""
         batch = request.noise.shape[0]
-        tiles = -(-batch // TILE)
+        parts = _tiles(self.tile, table, request)
+        chunks = jax.lax.map(lambda part: self._solve(*_tile(table, request, part)), parts)
+        return chunks.reshape(-1, *chunks.shape[2:])[:batch]
 
-        def split(leaf: Array) -> Array:
-            padding = [(0, tiles * TILE - batch)] + [(0, 0)] * (leaf.ndim - 1)
-            return jnp.pad(leaf, padding).reshape(tiles, TILE, *leaf.shape[1:])
+    def _solve_in_threads(self, table: Any, request: ChunkRequest) -> Array:
+        """Outside of one: a compiled tile per call, on as many threads as there are cores.
 
-        def solve(parts: Any) -> Array:
-            observed, noise, overlap, delay = parts
-            tile = dataclasses.replace(request, noise=noise, overlap=overlap, delay=delay)
-            return self._solve(table.part(observed), tile, unroll)
+        XLA shares the operations of one small tile between cores less well than two tiles share
+        two cores.
+        """
+        batch = request.noise.shape[0]
+        parts = _tiles(self.tile, table, request)
+        tiles = [
+            jax.tree.map(lambda leaf, i=i: leaf[i], parts) for i in range(-(-batch // self.tile))
+        ]
 
-        parts = (table.observed, request.noise, request.overlap, request.delay)
-        chunks = jax.lax.map(solve, jax.tree.map(split, parts))
-        return chunks.reshape(tiles * TILE, *chunks.shape[2:])[:batch]
+        def solve(part: Any) -> Array:
+            return jax.block_until_ready(_compiled(self, *_tile(table, request, part)))
+
+        with ThreadPoolExecutor(os.cpu_count()) as threads:
+            return jnp.concatenate(list(threads.map(solve, tiles)))[:batch]
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _compiled(sampler: Sampler, table: Any, request: ChunkRequest) -> Array:
+    return sampler._solve(table, request)
+
+
+def _tile(table: Any, request: ChunkRequest, part: Any) -> tuple[Any, ChunkRequest]:
+    """The field and the request of one tile."""
+    observed, noise, overlap, delay = part
+    tile = dataclasses.replace(request, noise=noise, overlap=overlap, delay=delay)
+    return table.part(observed), tile
+
+
+def _tiles(size: int, table: Any, request: ChunkRequest) -> Any:
+    """What belongs to an example, as tiles (T, size, ...), the last one padded."""
+
+    def split(leaf: Array) -> Array:
+        tiles = -(-leaf.shape[0] // size)
+        padding = [(0, tiles * size - leaf.shape[0])] + [(0, 0)] * (leaf.ndim - 1)
+        return jnp.pad(leaf, padding).reshape(tiles, size, *leaf.shape[1:])
+
+    return jax.tree.map(split, (table.observed, request.noise, request.overlap, request.delay))
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,7 @@ class Pinv(Guided):
     """
 
     name: ClassVar[str] = "pinv"
+    tile: ClassVar[int] = 32  # the backward pass keeps the activations of the forward pass too
 
     def update(
         self, velocity: Field, x: Float[Array, "H B A"], step: Step, problem: Problem

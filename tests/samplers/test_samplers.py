@@ -174,6 +174,8 @@ def test_tiles_give_rows_of_their_own(name, policy):
     second = jax.tree.map(lambda leaf: leaf[64:128], (obs, many.noise, many.overlap))
     part = dataclasses.replace(many, noise=second[1], overlap=second[2])
     np.testing.assert_allclose(whole[64:128], sampler(policy.velocity(second[0]), part), atol=1e-6)
+    in_threads = get_sampler(name)(policy.velocity(obs), many)
+    np.testing.assert_allclose(whole, in_threads, atol=1e-5)
     unrolled = get_sampler(name)(policy.velocity(obs), many, unroll=True)
     np.testing.assert_allclose(whole, unrolled, atol=1e-5)
 
