@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rtc_cli.errors import UsageError
-from rtc_cli.tasks.local import EngineName, LocalBatch, Record, check_worlds
+from rtc_cli.tasks.local import EngineName, Index, LocalBatch, Record, check_worlds
 from rtc_cli.tasks.scene import FloatArray, Scene, StateArray
 from rtc_cli.tasks.workers import ProcessBatch
 
@@ -73,15 +73,46 @@ class WorldBatch:
         Actions are physical and without noise: noise is added and the sum clipped to the bounds
         here. Finished worlds ignore their actions (0 ticks, last observation).
         """
+        return self._batch.step(*self._checked(actions, worlds))
+
+    def predict(self, actions: npt.ArrayLike, worlds: npt.ArrayLike | None = None) -> FloatArray:
+        """Observations (m, O) that `worlds` would show after actions (m, T, A) without noise.
+
+        The worlds stay as they are. The prediction starts from the bodies' states, so where bodies
+        rest on each other it may differ slightly from the world without noise: the solver's cached
+        impulses are not taken over. Finished worlds show their last observation.
+        """
+        return self._batch.predict(*self._checked(actions, worlds))
+
+    def push(self, change: npt.ArrayLike, worlds: npt.ArrayLike | None = None) -> None:
+        """Add `change` (m, bodies, 3) to the velocities vx, vy (m/s) and spin (rad/s) of `worlds`.
+
+        Entries of static bodies and finished worlds are ignored.
+        """
+        index = check_worlds(self.n, worlds)
+        array = np.asarray(change, np.float64)
+        wanted = (len(index), len(self.scene.bodies), 3)
+        if array.shape != wanted:
+            raise UsageError(f"a push of shape {array.shape}: {wanted} is needed.")
+        self._check_started(index)
+        self._batch.push(array, index)
+
+    def _checked(
+        self, actions: npt.ArrayLike, worlds: npt.ArrayLike | None
+    ) -> tuple[FloatArray, Index]:
+        """Actions (m, T, A) and the worlds (m,) they are for, of the shapes that are needed."""
         index = check_worlds(self.n, worlds)
         array = np.asarray(actions, np.float32)
         if array.ndim != 3 or array.shape[::2] != (len(index), self.scene.action_dim):
             wanted = f"({len(index)}, T, {self.scene.action_dim})"
             raise UsageError(f"actions of shape {array.shape}: {wanted} is needed.")
+        self._check_started(index)
+        return array, index
+
+    def _check_started(self, index: Index) -> None:
         if not self._started[index].all():
             missing = index[~self._started[index]].tolist()
             raise UsageError(f"worlds {missing} have no episode yet: call reset first.")
-        return self._batch.step(array, index)
 
     def close(self) -> None:
         """End worker processes, if there are any; may be called twice."""

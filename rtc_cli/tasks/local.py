@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -62,6 +63,7 @@ class LocalBatch:
         self.n = n
         self.invalid_count = 0
         self._engine = make_engine(engine, scene, n)
+        self._make_scratch = partial(make_engine, engine, scene, n)
         self._low = scene.action_low.astype(np.float64)
         self._high = scene.action_high.astype(np.float64)
         self._moving = list(scene.moving)
@@ -98,6 +100,53 @@ class LocalBatch:
                     self._step_shard(piece[at : at + rows], worlds[at : at + rows])
         ticks = self.tick[worlds] - before
         return Record(self.scene.observe(self.states[worlds]), self.status[worlds], ticks)
+
+    def predict(self, actions: FloatArray, worlds: Index) -> FloatArray:
+        """What worlds (m,) would show after actions (m, T, A) without noise: obs (m, O).
+
+        Scratch worlds start from the bodies' states alone: contacts are found anew, and the
+        solver's cached impulses are not taken over. The worlds themselves stay as they are.
+        """
+        states = self.states[worlds]
+        running = np.flatnonzero(self.status[worlds] == Status.RUNNING)
+        applied = np.clip(actions.astype(np.float64), self._low, self._high)
+        size = SHARD_TICKS // MAX_CHUNK
+        with np.errstate(invalid="ignore", over="ignore"):  # worlds may become NaN
+            for at in range(0, len(running), size):
+                self._predict_shard(applied, worlds, running[at : at + size], states)
+        return self.scene.observe(states)
+
+    def _predict_shard(
+        self, actions: StateArray, worlds: Index, rows: Index, states: StateArray
+    ) -> None:
+        """Advance `states[rows]` through their actions, each to the tick that ends it at most."""
+        self._scratch.reset(worlds[rows].tolist(), states[rows][:, self._moving])
+        for first in range(0, actions.shape[1], MAX_CHUNK):
+            names = worlds[rows].tolist()
+            piece = actions[rows, first : first + MAX_CHUNK]
+            log, contacts = self._scratch.run(names, piece)
+            end, status, _ = self._read(log, contacts)
+            last = np.minimum(end, log.shape[1] - 1)
+            states[rows[:, None], self._moving] = log[np.arange(len(rows)), last]
+            for row in np.flatnonzero(status == Status.INVALID).tolist():
+                self._scratch.rebuild(names[row])
+            rows = rows[status == Status.RUNNING]
+
+    @cached_property
+    def _scratch(self) -> Engine:
+        return self._make_scratch()
+
+    def push(self, change: StateArray, worlds: Index) -> None:
+        """Add `change` (m, bodies, 3) to the velocities vx, vy and spin of worlds (m,).
+
+        From then on these worlds run tick by tick: a replay could not repeat the push.
+        """
+        running = self.status[worlds] == Status.RUNNING
+        for world, delta in zip(worlds[running], change[running], strict=True):
+            self.states[world][self._moving, 2:4] += delta[self._moving, :2]
+            self.states[world][self._moving, 5] += delta[self._moving, 2]
+            self._careful[world] = True
+            self._engine.set_velocities(int(world), self.states[world][self._moving])
 
     def close(self) -> None:
         """Nothing to give up in one process."""

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rtc_cli.errors import StateError
+from rtc_cli.errors import StateError, UsageError
 from rtc_cli.tasks.local import EngineName, Index, LocalBatch, Record
 from rtc_cli.tasks.scene import STATE_SIZE, FloatArray, Scene, StateArray
 
@@ -51,7 +51,7 @@ class _Memory:
         self.worlds, self.seeds = arrays["worlds"], arrays["seeds"]
         self.actions, self.obs = arrays["actions"], arrays["obs"]
         self.status, self.ticks = arrays["status"], arrays["ticks"]
-        self.states = arrays["states"]
+        self.states, self.push = arrays["states"], arrays["push"]
 
     @staticmethod
     def _layout(scene: Scene, n: int) -> dict[str, tuple[tuple[int, ...], type]]:
@@ -63,6 +63,7 @@ class _Memory:
             "status": ((n,), np.int8),
             "ticks": ((n,), np.int32),
             "states": ((n, len(scene.bodies), STATE_SIZE), np.float64),
+            "push": ((n, len(scene.bodies), 3), np.float64),
         }
 
     @staticmethod
@@ -118,6 +119,23 @@ class ProcessBatch:
             self._ask("step", m, piece.shape[1])
             executed += memory.ticks[:m]
         return Record(memory.obs[:m].copy(), memory.status[:m].copy(), executed)
+
+    def predict(self, actions: FloatArray, worlds: Index) -> FloatArray:
+        """Look ahead without noise; see `LocalBatch.predict`."""
+        m, ticks = actions.shape[:2]
+        if ticks > MESSAGE_TICKS:
+            raise UsageError(f"{ticks} ticks ahead: at most {MESSAGE_TICKS} over worker processes.")
+        self._memory.worlds[:m] = worlds
+        self._memory.actions[:m, :ticks] = actions
+        self._ask("predict", m, ticks)
+        return self._memory.obs[:m].copy()
+
+    def push(self, change: StateArray, worlds: Index) -> None:
+        """Change velocities; see `LocalBatch.push`."""
+        m = len(worlds)
+        self._memory.worlds[:m] = worlds
+        self._memory.push[:m] = change
+        self._ask("push", m, 0)
 
     def _ask(self, what: str, rows: int, ticks: int) -> None:
         answers = self._exchange([(what, rows, ticks)] * len(self._links))
@@ -216,11 +234,16 @@ def _serve_one(
     """Answer for the rows `mine` of a request."""
     worlds = shared.worlds[mine]
     local = worlds // workers
-    if what == "reset":
-        shared.obs[mine] = batch.reset(shared.seeds[mine], local)
-    else:
-        record = batch.step(shared.actions[mine, :ticks], local)
-        shared.obs[mine] = record.obs
-        shared.status[mine] = record.status
-        shared.ticks[mine] = record.ticks
+    match what:
+        case "reset":
+            shared.obs[mine] = batch.reset(shared.seeds[mine], local)
+        case "push":
+            batch.push(shared.push[mine], local)
+        case "predict":
+            shared.obs[mine] = batch.predict(shared.actions[mine, :ticks], local)
+        case "step":
+            record = batch.step(shared.actions[mine, :ticks], local)
+            shared.obs[mine] = record.obs
+            shared.status[mine] = record.status
+            shared.ticks[mine] = record.ticks
     shared.states[worlds] = batch.states[local]
