@@ -57,7 +57,8 @@ def test_every_role_is_visible(name):
     scene = get_task(name)
     trace = record_episode(scene, 0, lambda obs, tick: scene.action_low)
     picture = draw_world(scene, trace.states[0], width=400)
-    for role in (Role.GOAL, Role.TARGET, Role.HAZARD):
+    roles = {shape.role for body in scene.bodies for shape in body.shapes} - {Role.NONE}
+    for role in roles:
         assert pixels(picture, ROLE_COLORS[role]) > 8
 
 
