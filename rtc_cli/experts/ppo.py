@@ -27,6 +27,7 @@ from rtc_cli.experts.update import (
     update,
 )
 from rtc_cli.tasks.batch import WorldBatch
+from rtc_cli.tasks.reward import shaped_reward
 from rtc_cli.tasks.scene import Scene, Status
 
 if TYPE_CHECKING:
@@ -216,17 +217,14 @@ class _Sampler:
         invalid = status == Status.INVALID  # a world that broke: its last step teaches nothing
         next_obs[invalid] = obs[invalid]
         rows = (-1, obs.shape[-1])
-        gained = self.scene.progress(next_obs.reshape(rows)) - self.scene.progress(
-            obs.reshape(rows)
-        )
-        outcome = (status == Status.SOLVED).astype(np.float32) - (status == Status.FAILED)
-        reward = self.scene.progress_scale * gained.reshape(status.shape) + outcome
+        steps = obs.reshape(rows), next_obs.reshape(rows), status.reshape(-1)
+        reward = shaped_reward(self.scene, *steps).reshape(status.shape)
         return Rollout(
             obs=jnp.asarray(obs),
             noise=jnp.asarray(noise),
             reward=jnp.asarray(reward, jnp.float32),
             next_obs=jnp.asarray(next_obs),
-            terminal=jnp.asarray((outcome != 0) | invalid),
+            terminal=jnp.asarray((status != Status.RUNNING) & (status != Status.TIMEOUT)),
             done=jnp.asarray(status != Status.RUNNING),
         )
 

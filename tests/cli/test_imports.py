@@ -23,6 +23,7 @@ ARROWS = {
     "training": {"data", "core"},
     "data": {"tasks"},
     "experts": {"tasks", "core"},
+    "gym": {"tasks"},
     "samplers": {"core"},
     "report": {"results", "intervals", "execution.timeline", "runs", "recipe"},
     "core": set(),
@@ -105,6 +106,7 @@ def test_arrows(file):
     ("part", "forbidden"),
     [
         ("tasks", {"jax", "jaxlib", "flax"}),
+        ("gym", {"jax", "jaxlib", "flax"}),
         ("report", {"jax", "jaxlib", "flax", "pymunk"}),
         ("core", {"pymunk", "pandas", "matplotlib"}),
         ("samplers", {"pymunk", "pandas", "matplotlib"}),
