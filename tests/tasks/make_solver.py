@@ -2,10 +2,10 @@
 
     PYTHONPATH=tests/helpers python tests/tasks/make_solver.py TASK [--seed N]
 
-Trains a PPO expert with two hidden layers of 64 (`rtc_cli.experts`) and stores it as
-float16: weights and biases of the layers of the mean, the logarithm of the standard deviation,
-and mean and standard deviation of the observations. The file has about 10 KB: `tests/tasks/solvers/TASK.npz`. Needed again when a task
-is changed so that its solver no longer solves it. Takes a minute or two.
+Trains a PPO expert with two hidden layers of 64 (`rtc_cli.experts`) and stores it as float16 in
+`tests/tasks/solvers/TASK.npz`, about 10 KB: weights and biases of the layers of the mean, the
+logarithm of the standard deviation, and mean and standard deviation of the observations. Needed
+again when a task is changed so that its solver no longer solves it. Takes a minute or two.
 """
 
 from __future__ import annotations
