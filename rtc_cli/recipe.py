@@ -203,7 +203,10 @@ class TuneConfig(Section):
 
 
 class EvalConfig(Section):
-    """Which cells are evaluated; `episodes` is per training seed and cell."""
+    """Which cells are evaluated; `episodes` is per training seed and cell.
+
+    The first `reaction_episodes` of them run once more in each cell, with a push.
+    """
 
     delays: Delays = (0, 1, 2, 3, 4)
     protocols: Names = ("paper",)
@@ -213,12 +216,24 @@ class EvalConfig(Section):
     seed: Seed = 0
     first_episode: Annotated[int, Field(ge=0, lt=400_000)] = 0
     hold: Literal["last", "zero"] = "last"
+    reaction_episodes: Count = 0
     matrix: bool = False
     pinv: PinvConfig = PinvConfig()
     tune: TuneConfig | None = None
 
     _check_delays = field_validator("delays")(_ascending)
     _check_methods = field_validator("methods")(_unique)
+
+    @model_validator(mode="after")
+    def _check_counts(self) -> Self:
+        if self.reaction_episodes > self.episodes:
+            raise ValueError(
+                f"reaction_episodes {self.reaction_episodes} exceeds episodes {self.episodes}, "
+                "of which they are the first"
+            )
+        if "oracle" in self.methods and "naive" not in self.methods:
+            raise ValueError('methods: "oracle" is read against "naive"; name both')
+        return self
 
     @field_validator("protocols")
     @classmethod

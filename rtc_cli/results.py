@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 from rtc_cli.errors import StateError
 from rtc_cli.files import os_error, write_bytes
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 _TEXT, _INT, _FLOAT, _BOOL = pa.string(), pa.int64(), pa.float64(), pa.bool_()
 
@@ -58,6 +58,7 @@ EPISODE_COLUMNS: dict[str, tuple[pa.DataType, str, bool]] = {
     "late_chunks": (_INT, "chunks", False),
     "waiting_ticks": (_INT, "control steps", False),
     "reaction_ticks": (_FLOAT, "control steps", True),
+    "measured_reaction_ticks": (_FLOAT, "control steps", True),
     "beyond_trained": (_BOOL, "", False),
     "cell": (_TEXT, "", False),
     "policy": (_TEXT, "digest", False),
@@ -89,6 +90,7 @@ def cell_key(
     eval_seed: int,
     first_episode: int,
     episodes: int,
+    reaction_episodes: int,
     tile: int,
 ) -> str:
     """Key (20 hex digits) of a cell's content: equal keys mean equal rows but for their labels.
@@ -97,11 +99,12 @@ def cell_key(
         policy: digest of the checkpoint.
         scene: digest of the scene.
         settings: all settings of the sampler, defaults included (``Sampler.settings``).
-        hold: what ``sync`` executes while it waits; it has no part in an ``async`` cell.
+        hold: what ``sync`` executes while it waits; it has no part in other cells.
+        reaction_episodes: how many of the episodes run once more, with a push.
         tile: the rows of one inference; XLA's last bits depend on it.
     """
     content = dict(locals()) | {"settings": dict(settings), "schema": SCHEMA_VERSION}
-    if schedule == "async":
+    if schedule != "sync":
         content["hold"] = ""
     text = json.dumps(content, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:20]

@@ -32,6 +32,7 @@ CONTENT: dict[str, Any] = {
     "eval_seed": 0,
     "first_episode": 0,
     "episodes": 4,
+    "reaction_episodes": 2,
     "tile": 32,
 }
 

@@ -18,6 +18,9 @@ def selected_episodes(
     run: Run, config: EvalConfig, tasks: tuple[str, ...], seeds: tuple[int, ...]
 ) -> pd.DataFrame:
     """Return the rows of a run that an evaluation with these settings asked for."""
+    import numpy as np
+
+    from rtc_cli.execution.protocols import OPEN_LOOP
     from rtc_cli.pipeline.evaluation import TUNED, methods_of
     from rtc_cli.report.inputs import load_episodes
 
@@ -37,9 +40,16 @@ def selected_episodes(
         "flow_steps": (config.flow_steps,),
         "episode": range(first, first + config.episodes),
     }
-    for column, values in wanted.items():
-        rows = rows[rows[column].isin(list(values))]
-    return rows
+    asked = [rows[column].isin(list(values)) for column, values in wanted.items()]
+    if "oracle" in config.methods:
+        # Without delay, whatever the delays asked for: the losses are measured from there.
+        reference = rows["protocol"] == OPEN_LOOP
+        free = ("protocol", "delay")
+        asked = [
+            mask | reference if column in free else mask
+            for column, mask in zip(wanted, asked, strict=True)
+        ]
+    return rows[np.logical_and.reduce(asked)]
 
 
 def evaluation_document(run: Run, rows: pd.DataFrame) -> dict[str, Any]:

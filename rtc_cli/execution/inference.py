@@ -68,11 +68,10 @@ def infer(
     sampler: Sampler,
     flow_steps: int,
 ) -> tuple[Float[Array, "B H A"], PhysicalActions]:
-    """One chunk per row (normalised), and in physical units what will be executed of it.
+    """One chunk per row, normalised and in physical units.
 
-    The latter is ``overlap[:, :delay] ++ chunk[:, delay:]``. Execution horizon and delay are
-    traced: one compiled program per sampler and number of flow steps serves all cells, and all
-    policies of one shape. Observations are physical.
+    Execution horizon and delay are traced: one compiled program per sampler and number of flow
+    steps serves all cells, and all policies of one shape. Observations are physical.
     """
     config = policy.config
     horizon = config.horizon
@@ -85,8 +84,7 @@ def infer(
     )
     normalised = policy.normaliser.observations(observations)
     chunk = sampler(policy.velocity(normalised, table), request)
-    old = (jnp.arange(horizon) < delay)[None, :, None]
-    return chunk, policy.normaliser.physical(jnp.where(old, overlap, chunk))
+    return chunk, policy.normaliser.physical(chunk)
 
 
 class ChunkMaker:
@@ -131,10 +129,8 @@ class ChunkMaker:
         normalised = self._policy.normaliser.actions(PhysicalActions(jnp.asarray(zero)))
         return np.stack([np.asarray(normalised), zero])
 
-    def first(
-        self, sampler: Sampler, observations: FloatArray, episodes: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """The free chunk of each episode: no previous chunk, no delay."""
+    def first(self, sampler: Sampler, observations: FloatArray, episodes: IntArray) -> FloatArray:
+        """(m, 2, H, A) the free chunk of each episode: no previous chunk, no delay."""
         ticks = np.full(len(episodes), FIRST_CHUNK_TICK)
         overlap = np.zeros((len(episodes), *self.shape), np.float32)
         return self._run(sampler, observations, episodes, ticks, overlap, np.int32(0))
@@ -146,8 +142,8 @@ class ChunkMaker:
         episodes: IntArray,
         ticks: IntArray,
         overlap: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """(m, H, A) chunk, normalised, and in physical units ``overlap[:d] ++ chunk[d:]``.
+    ) -> FloatArray:
+        """(m, 2, H, A) the next chunk of each episode: normalised, and in physical units.
 
         Args:
             observations: (m, O) physical, m ≤ tile.
@@ -168,7 +164,7 @@ class ChunkMaker:
         ticks: IntArray,
         overlap: FloatArray,
         delay: np.int32,
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> FloatArray:
         count = len(episodes)
         chunk, physical = infer(
             self._policy,
@@ -192,7 +188,7 @@ class ChunkMaker:
                 f"{episodes[bad]}, tick {max(int(ticks[bad]), 0)}",
                 "train again, or evaluate another checkpoint",
             )
-        return result, np.asarray(physical.array)[:count]
+        return np.stack([result, np.asarray(physical.array)[:count]], axis=1)
 
     def _table(self, sampler: Sampler) -> TimeTable:
         if sampler not in self._tables:

@@ -36,10 +36,10 @@ class Method:
         if self.checkpoint not in CHECKPOINTS:
             hint = did_you_mean(self.checkpoint, CHECKPOINTS)
             raise UsageError(f'unknown checkpoint "{self.checkpoint}".{hint}')
-        if self.schedule == "sync" and self.sampler != "plain":
+        if self.schedule != "async" and self.sampler != "plain":
             raise UsageError(
-                f'schedule "sync" cannot use sampler "{self.sampler}": the robot waits for each '
-                "chunk, so there is no overlap to condition on",
+                f'schedule "{self.schedule}" cannot use sampler "{self.sampler}": it has no '
+                "overlap to condition on",
                 'use sampler "plain", or schedule "async"',
             )
 
@@ -63,6 +63,7 @@ METHODS: dict[str, Method] = {
         Method("pinv", "base", "pinv"),
         Method("pinv-detached", "base", "pinv-detached"),
         Method("prefix", "prefix", "prefix"),
+        Method("oracle", "base", "plain", schedule="oracle"),
     )
 }
 

@@ -7,16 +7,21 @@
     one s for all delays.
 ``grid``
     every legal s for each delay.
+
+A fourth label is given by ``open_loop_cells`` only: ``open-loop``, execution without delay.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from rtc_cli.core.geometry import ChunkGeometry
 from rtc_cli.errors import UsageError, did_you_mean
 
 PROTOCOLS = ("paper", "fixed:S", "grid")
+
+OPEN_LOOP = "open-loop"
+"""Label of the cells at d = 0 that tell what executing s steps open loop costs by itself."""
 
 
 def protocol_cells(protocol: str, horizon: int, delays: Iterable[int]) -> tuple[ChunkGeometry, ...]:
@@ -35,6 +40,13 @@ def protocol_cells(protocol: str, horizon: int, delays: Iterable[int]) -> tuple[
         exec_horizon = _fixed(protocol)
         pairs = [(exec_horizon, delay) for delay in delays]
     return tuple(_cell(protocol, horizon, exec_horizon, delay) for exec_horizon, delay in pairs)
+
+
+def open_loop_cells(cells: Sequence[ChunkGeometry]) -> tuple[ChunkGeometry, ...]:
+    """Cells at d = 0, for s = 1 and every execution horizon of these cells."""
+    horizon = cells[0].horizon
+    steps = sorted({1, *(int(cell.exec_horizon) for cell in cells)})
+    return tuple(ChunkGeometry(horizon=horizon, exec_horizon=s, delay=0) for s in steps)
 
 
 def _check_paper(horizon: int, delays: tuple[int, ...]) -> None:

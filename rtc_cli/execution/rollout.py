@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -27,7 +28,8 @@ from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.execution.inference import TILE, ChunkMaker, FloatArray, IntArray
 from rtc_cli.execution.methods import Method
 from rtc_cli.execution.metrics import Trace, episode_metrics
-from rtc_cli.execution.timeline import cycle, first_inference, timeline
+from rtc_cli.execution.reaction import PushedWorlds, Pushes, draw_pushes, measured_reaction
+from rtc_cli.execution.timeline import Cycle, cycle, first_inference, timeline
 from rtc_cli.samplers import Sampler, get_sampler
 from rtc_cli.tasks.batch import WorldBatch
 from rtc_cli.tasks.scene import Scene, Status
@@ -49,6 +51,10 @@ class Worlds(Protocol):
     def reset(self, seeds: IntArray, worlds: IntArray | None = None) -> FloatArray: ...
 
     def step(self, actions: FloatArray, worlds: IntArray | None = None) -> Any: ...
+
+    def predict(self, actions: FloatArray, worlds: IntArray | None = None) -> FloatArray: ...
+
+    def push(self, change: NDArray[np.float64], worlds: IntArray | None = None) -> None: ...
 
 
 def method_sampler(method: Method) -> Sampler:
@@ -80,6 +86,7 @@ def evaluate_cell(
     tile: int = TILE,
     workers: int = 1,
     trained_support: Sequence[int] | None = None,
+    reaction_episodes: int = 0,
     worlds: Worlds | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pd.DataFrame:
@@ -97,6 +104,8 @@ def evaluate_cell(
         tile: rows of one inference.
         workers: processes that step the worlds; ignored if ``worlds`` is given.
         trained_support: support of the delay distribution the checkpoint was trained with.
+        reaction_episodes: the first so many episodes run once more, with a push, to measure the
+            reaction (``rtc_cli.execution.reaction``).
         worlds: a batch of this scene to reuse, of any size; it is left as it ends up.
         progress: called with (finished episodes, all episodes).
 
@@ -119,11 +128,21 @@ def evaluate_cell(
         tile=tile,
     )
     sampler = method_sampler(method)
+    plan = _Plan(geometry, method.schedule, hold, scene.max_ticks)
+    numbers = np.asarray(episodes, np.int64)
     with _worlds(scene, len(episodes), workers, worlds) as batch, ThreadPoolExecutor(1) as thread:
-        plan = _Plan(geometry, method.schedule, hold, scene.max_ticks)
-        run = _Rollout(plan, maker, sampler, batch, thread, np.asarray(episodes, np.int64))
+        run = _Rollout(plan, maker, sampler, batch, thread, numbers)
         run.run(progress or (lambda done, total: None))
+        reaction = np.full(len(numbers), np.nan)
+        if reaction_episodes:
+            first = numbers[:reaction_episodes]
+            pushes = draw_pushes(scene, first, run.lengths[: len(first)], 2 * geometry.horizon)
+            pushed = PushedWorlds(batch, first, pushes)
+            twin = _Rollout(plan, maker, sampler, pushed, thread, first)
+            twin.run(lambda done, total: None)
+            reaction[: len(first)] = run.reaction_to(pushes, twin)
     return _rows(scene, method, geometry, run, sampler).assign(
+        measured_reaction_ticks=reaction,
         flow_steps=flow_steps,
         beyond_trained=is_beyond_trained(method, int(geometry.delay), trained_support),
     )
@@ -162,8 +181,8 @@ def _check(
 
 
 def _asked(geometry: ChunkGeometry, method: Method) -> ChunkGeometry:
-    """What the sampler is asked for: a robot that waits executes nothing of its old chunk."""
-    return replace(geometry, delay=0) if method.schedule == "sync" else geometry
+    """What the sampler is asked for: only under ``async`` does it begin at index d of its chunk."""
+    return geometry if method.schedule == "async" else replace(geometry, delay=0)
 
 
 @contextmanager
@@ -191,6 +210,10 @@ class _Plan:
     @property
     def delay(self) -> int:
         return int(self.geometry.delay)
+
+    @cached_property
+    def cycle(self) -> Cycle:
+        return cycle(self.exec_horizon, self.delay, self.schedule)
 
     @property
     def inferences(self) -> int:
@@ -222,7 +245,7 @@ class _Rollout:
         self.episodes = episodes
         horizon, actions = maker.shape
         count, slots = len(episodes), min(len(episodes), worlds.n)
-        longest = plan.max_ticks + cycle(plan.exec_horizon, plan.delay, plan.schedule).ticks
+        longest = plan.max_ticks + plan.cycle.ticks
         # Per episode, by position in `episodes`.
         self.executed = np.zeros((count, longest, actions), np.float32)
         self.lengths = np.zeros(count, np.int64)
@@ -232,14 +255,15 @@ class _Rollout:
         # Per slot.
         self.position = np.zeros(slots, np.int64)
         self.observed: FloatArray = np.zeros((slots, maker.obs_dim), np.float32)
-        self.overlap = np.zeros((slots, horizon, actions), np.float32)
-        self.last = np.zeros((slots, 2, actions), np.float32)  # normalised, physical
+        # Of two: normalised, and in physical units.
+        self.overlap = np.zeros((slots, 2, horizon, actions), np.float32)
+        self.last = np.zeros((slots, 2, actions), np.float32)
         self.cycles = np.zeros(slots, np.int64)
         # Slots that wait for their free chunk, and for their next inference.
         self.fresh: deque[int] = deque()
         self.ready: deque[int] = deque()
         self.waiting = deque(range(count))
-        self.pending: deque[tuple[bool, IntArray, Future[tuple[FloatArray, FloatArray]]]] = deque()
+        self.pending: deque[tuple[bool, IntArray, Future[FloatArray]]] = deque()
 
     def run(self, progress: Callable[[int, int], None]) -> None:
         """Run all episodes to their end."""
@@ -248,12 +272,17 @@ class _Rollout:
         while self.fresh or self.ready or self.pending:
             self._submit()
             first, slots, future = self.pending.popleft()
-            chunk, physical = future.result()
             if first:
-                self._begin(slots, chunk, physical)
+                self._begin(slots, future.result())
             else:
-                self._cycle(slots, chunk, physical)
+                self._cycle(slots, future.result())
             progress(int((self.status != Status.RUNNING).sum()), total)
+
+    def reaction_to(self, pushes: Pushes, twin: _Rollout) -> NDArray[np.float64]:
+        """Measured reaction (m,) of the first m episodes, whose pushed twins ran in `twin`."""
+        count = len(twin.episodes)
+        lengths = self.lengths[:count], twin.lengths
+        return measured_reaction(self.executed[:count], twin.executed, pushes, lengths)
 
     def _start(self, slots: IntArray) -> None:
         """Put waiting episodes into free slots."""
@@ -278,43 +307,37 @@ class _Rollout:
             first = queue is self.fresh
             self.pending.append((first, slots, self._infer(slots, first)))
 
-    def _infer(self, slots: IntArray, first: bool) -> Future[tuple[FloatArray, FloatArray]]:
+    def _infer(self, slots: IntArray, first: bool) -> Future[FloatArray]:
         positions = self.position[slots]
         observed, episodes = self.observed[slots], self.episodes[positions]
         if first:
             return self.thread.submit(self.maker.first, self.first_sampler, observed, episodes)
+        overlap = self.overlap[slots]
+        if self.plan.schedule == "oracle" and self.plan.delay:
+            observed = self.worlds.predict(overlap[:, 1, : self.plan.delay], worlds=slots)
+        ticks = self.lengths[positions]
         return self.thread.submit(
-            self.maker.next,
-            self.sampler,
-            observed,
-            episodes,
-            self.lengths[positions],
-            self.overlap[slots],
+            self.maker.next, self.sampler, observed, episodes, ticks, overlap[:, 0]
         )
 
-    def _begin(self, slots: IntArray, chunk: FloatArray, physical: FloatArray) -> None:
-        """Take the free chunk: ``async`` keeps it as the overlap, ``sync`` executes it."""
+    def _begin(self, slots: IntArray, chunk: FloatArray) -> None:
+        """Take the free chunk: ``sync`` executes it, the others keep it as the overlap."""
         steps = self.plan.exec_horizon
         if first_inference(steps, self.plan.schedule):
-            self._execute(slots, chunk[:, :steps], physical[:, :steps])
+            self._execute(slots, chunk[:, :, :steps])
         else:
-            self.overlap[slots] = _shifted(chunk, 0, len(chunk[0]) - steps)
+            self.overlap[slots] = _shifted(chunk, 0, chunk.shape[2] - steps)
             self.ready.extend(slots.tolist())
 
-    def _cycle(self, slots: IntArray, chunk: FloatArray, physical: FloatArray) -> None:
-        """Execute one cycle with the new chunk."""
-        steps, delay = self.plan.exec_horizon, self.plan.delay
-        if self.plan.schedule == "sync":
-            held = np.repeat(self._held(slots)[:, :, None], delay, axis=2)
-            normalised = np.concatenate([held[:, 0], chunk[:, :steps]], axis=1)
-            executed = np.concatenate([held[:, 1], physical[:, :steps]], axis=1)
-            self._execute(slots, normalised, executed)
-            return
-        overlap = self.overlap[slots]
-        self._compare(slots, chunk, overlap)
-        normalised = np.concatenate([overlap[:, :delay], chunk[:, delay:steps]], axis=1)
-        self.overlap[slots] = _shifted(chunk, steps, len(chunk[0]))
-        self._execute(slots, normalised, physical[:, :steps])
+    def _cycle(self, slots: IntArray, chunk: FloatArray) -> None:
+        """Execute one cycle with the new chunk (m, 2, H, A)."""
+        plan, overlap = self.plan.cycle, self.overlap[slots]
+        if self.plan.schedule != "sync":
+            self._compare(slots, chunk[:, 0], overlap[:, 0])
+        held = np.repeat(self._held(slots)[:, :, None], plan.hold, axis=2)
+        old, new = overlap[:, :, : plan.overlap_stop], chunk[:, :, plan.new_start : plan.new_stop]
+        self.overlap[slots] = _shifted(chunk, plan.new_stop, chunk.shape[2])
+        self._execute(slots, np.concatenate([held, old, new], axis=2))
 
     def _held(self, slots: IntArray) -> FloatArray:
         """(m, 2, A) hold action of each slot, normalised and physical."""
@@ -325,21 +348,25 @@ class _Rollout:
     def _compare(self, slots: IntArray, chunk: FloatArray, overlap: FloatArray) -> None:
         """Record how far the new chunk is from the overlap, before it is executed."""
         delay, entry = self.plan.delay, (self.position[slots], self.cycles[slots])
-        gap = np.linalg.norm(chunk.astype(np.float64) - overlap, axis=2)
-        if delay < self.plan.geometry.horizon - self.plan.exec_horizon:
-            self.seam_gap[entry] = gap[:, delay]
-        # `prefix` returns the committed actions themselves: there is nothing to compare.
-        if delay and self.sampler.name != "prefix":
-            self.prefix_error[entry] = gap[:, :delay].mean(axis=1)
+        plan = self.plan.cycle
+        if delay < self.plan.geometry.horizon - plan.new_stop:
+            self.seam_gap[entry] = _gap(chunk[:, plan.new_start], overlap[:, delay])
+        # Only under ``async`` does a chunk begin with what is committed; and ``prefix`` returns
+        # the committed actions themselves: there is nothing to compare.
+        if delay and self.plan.schedule == "async" and self.sampler.name != "prefix":
+            self.prefix_error[entry] = _gap(chunk[:, :delay], overlap[:, :delay]).mean(axis=1)
         self.cycles[slots] += 1
 
-    def _execute(self, slots: IntArray, normalised: FloatArray, physical: FloatArray) -> None:
-        """Step the worlds of these slots open loop; free the slots of finished episodes."""
-        record = self.worlds.step(physical, worlds=slots)
+    def _execute(self, slots: IntArray, actions: FloatArray) -> None:
+        """Step the worlds of these slots through actions (m, 2, T, A) open loop.
+
+        Slots whose episode ends are given the next one.
+        """
+        record = self.worlds.step(actions[:, 1], worlds=slots)
         positions = self.position[slots]
-        ticks = self.lengths[positions][:, None] + np.arange(normalised.shape[1])
-        self.executed[positions[:, None], ticks] = normalised
-        self.last[slots, 0], self.last[slots, 1] = normalised[:, -1], physical[:, -1]
+        ticks = self.lengths[positions][:, None] + np.arange(actions.shape[2])
+        self.executed[positions[:, None], ticks] = actions[:, 0]
+        self.last[slots] = actions[:, :, -1]
         self.lengths[positions] += record.ticks
         self.status[positions] = record.status
         self.observed[slots] = record.obs
@@ -348,10 +375,16 @@ class _Rollout:
         self._start(slots[~running])
 
 
+def _gap(new: FloatArray, old: FloatArray) -> NDArray[np.float64]:
+    """Euclidean distances (...) of actions (..., A)."""
+    gap: NDArray[np.float64] = np.linalg.norm(new.astype(np.float64) - old, axis=-1)
+    return gap
+
+
 def _shifted(chunk: FloatArray, start: int, stop: int) -> FloatArray:
-    """``chunk[:, start:stop]`` moved to index 0, zeros after it, in the shape of ``chunk``."""
+    """``chunk[:, :, start:stop]`` moved to index 0, zeros after it, in the shape of ``chunk``."""
     moved = np.zeros_like(chunk)
-    moved[:, : stop - start] = chunk[:, start:stop]
+    moved[:, :, : stop - start] = chunk[:, :, start:stop]
     return moved
 
 

@@ -12,11 +12,16 @@ One cycle, for execution horizon s and delay d, in control ticks:
            inference  |--- d ---|                       |--- d ---|
            executed   hold x d   new[0:s]                hold x d ...
 
+    oracle tick       t          t+d              t+s                t+s+d
+           inference  |--- d ---|                 |--- d ---|
+           executed   old[0:d]   new[0:s-d]        new[s-d:s] ...
+
 ``old[0:d]`` stands for ``overlap[0:d]``: the overlap is the unexecuted rest of the running chunk,
 aligned so that ``overlap[0]`` is the action due at tick t. An episode starts with one chunk free
 of charge, ``first``. Under ``async`` the first inference starts at tick 0 too, from the same
 observation, and its overlap is ``first[0:H-s]``; under ``sync`` ``first[0:s]`` is executed and
-the first inference starts at tick s.
+the first inference starts at tick s. Under ``oracle`` the policy is shown the state that is
+predicted for tick t+d, so that its token j acts at t+d+j.
 
 Chunks are numbered: 0 is ``first``, k is the k-th inference. Plain Python and NumPy.
 """
@@ -31,7 +36,7 @@ from numpy.typing import NDArray
 
 from rtc_cli.errors import UsageError, did_you_mean
 
-Schedule = Literal["async", "sync"]
+Schedule = Literal["async", "sync", "oracle"]
 SCHEDULES: tuple[str, ...] = get_args(Schedule)
 
 HOLD = -1
@@ -96,7 +101,7 @@ class Timeline:
 
 
 def check_schedule(schedule: str) -> None:
-    """Raise UsageError unless ``schedule`` is ``async`` or ``sync``."""
+    """Raise UsageError unless ``schedule`` is one of SCHEDULES."""
     if schedule not in SCHEDULES:
         raise UsageError(f'unknown schedule "{schedule}".{did_you_mean(schedule, SCHEDULES)}')
 
@@ -106,6 +111,8 @@ def cycle(exec_horizon: int, delay: int, schedule: str = "async") -> Cycle:
     check_schedule(schedule)
     if schedule == "sync":
         return Cycle(exec_horizon + delay, delay, 0, 0, exec_horizon)
+    if schedule == "oracle":
+        return Cycle(exec_horizon, 0, delay, 0, exec_horizon - delay)
     return Cycle(exec_horizon, 0, delay, delay, exec_horizon)
 
 

@@ -51,6 +51,7 @@ class Target:
     flow_steps: int
     eval_seed: int
     hold: str = "last"
+    reaction_episodes: int = 0
     prefix_kind: str = PREFIX
 
 
@@ -77,15 +78,27 @@ def _with_guidance(method: Method, config: EvalConfig) -> Method:
 
 
 def cells_of(config: EvalConfig, horizon: int, methods: Sequence[Method]) -> tuple[Cell, ...]:
-    """Return all cells of an evaluation; every one is checked before any is run."""
-    from rtc_cli.execution.protocols import protocol_cells
+    """Return all cells of an evaluation; every one is checked before any is run.
 
-    return tuple(
+    Beside `oracle`, `naive` is evaluated without delay too, open loop: that is what the losses
+    under delay are measured from.
+    """
+    from rtc_cli.execution.protocols import OPEN_LOOP, open_loop_cells, protocol_cells
+
+    geometries = {
+        protocol: protocol_cells(protocol, horizon, config.delays) for protocol in config.protocols
+    }
+    cells = [
         Cell(method, protocol, geometry)
-        for protocol in config.protocols
-        for geometry in protocol_cells(protocol, horizon, config.delays)
+        for protocol, own in geometries.items()
+        for geometry in own
         for method in methods
-    )
+    ]
+    naive = [method for method in methods if method.name == "naive"]
+    if naive and "oracle" in config.methods:
+        every = [geometry for own in geometries.values() for geometry in own]
+        cells += [Cell(naive[0], OPEN_LOOP, geometry) for geometry in open_loop_cells(every)]
+    return tuple(cells)
 
 
 def target_of(
@@ -102,6 +115,7 @@ def target_of(
         flow_steps=config.flow_steps,
         eval_seed=config.seed,
         hold=config.hold,
+        reaction_episodes=config.reaction_episodes,
         prefix_kind=variant or PREFIX,
     )
 
@@ -189,6 +203,7 @@ class _Checkpoints:
             eval_seed=target.eval_seed,
             first_episode=target.first_episode,
             episodes=target.episodes,
+            reaction_episodes=target.reaction_episodes,
             tile=TILE,
         )
 
@@ -219,6 +234,7 @@ def _evaluate_cell(
             eval_seed=target.eval_seed,
             hold=target.hold,  # type: ignore[arg-type]
             trained_support=support,
+            reaction_episodes=target.reaction_episodes,
             worlds=worlds,
             progress=progress,
         )

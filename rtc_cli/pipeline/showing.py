@@ -104,3 +104,11 @@ class _Recorder:
             if self.status != Status.RUNNING:
                 break
         return replace(record, ticks=np.array([executed], np.int32))
+
+    def predict(self, actions: npt.NDArray[np.float32], worlds: Any = None) -> Any:
+        """Look ahead; nothing of it is shown."""
+        return self._worlds.predict(actions, worlds)
+
+    def push(self, change: npt.NDArray[np.float64], worlds: Any = None) -> None:
+        """Change velocities."""
+        self._worlds.push(change, worlds)

@@ -15,6 +15,7 @@ def test_named_methods() -> None:
         "pinv": ("base", "pinv", "async"),
         "pinv-detached": ("base", "pinv-detached", "async"),
         "prefix": ("prefix", "prefix", "async"),
+        "oracle": ("base", "plain", "oracle"),
     }
 
 

@@ -1,6 +1,7 @@
 """Rollouts: equal to a tick-by-tick loop over the timeline, whatever runs beside an episode."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -121,16 +122,18 @@ def tick_by_tick(
         horizon=HORIZON, exec_horizon=s, delay=d, ticks=scene.max_ticks, schedule=method.schedule
     )
     maker = ChunkMaker(
-        policy, ChunkGeometry(HORIZON, s, d),
+        policy, ChunkGeometry(HORIZON, s, 0 if method.schedule == "oracle" else d),
         flow_steps=STEPS, task=scene.name, eval_seed=3, tile=16,
     )  # fmt: skip
     numbers = np.array([episode])
+    # Under `oracle`, token 0 of a chunk is due d ticks after the start of its inference.
+    late = d if method.schedule == "oracle" else 0
     starts = {window.start: window for window in plan.inferences}
     actions: list[np.ndarray] = []
     with WorldBatch(scene, 1) as world:
         observed = world.reset(numbers)
-        chunks = [maker.first(get_sampler("plain"), observed, numbers)[0][0]]
-        since = [0]
+        chunks = [maker.first(get_sampler("plain"), observed, numbers)[0, 0]]
+        since = [0]  # tick at which token 0 is due
         for tick in range(scene.max_ticks):
             if tick in starts:
                 overlap = np.full((1, HORIZON, scene.action_dim), np.nan, np.float32)
@@ -138,11 +141,14 @@ def tick_by_tick(
                 overlap[0, : len(rest)] = rest
                 overlap[0, HORIZON - s :] = 7.0  # must not matter
                 overlap = np.nan_to_num(overlap)
-                new, _ = maker.next(
+                if late:
+                    committed = np.asarray(policy.normaliser.physical(rest[:d]).array)
+                    observed = world.predict(committed[None])
+                new = maker.next(
                     method_sampler(method), observed, numbers, np.array([tick]), overlap
                 )
-                chunks.append(new[0])
-                since.append(tick)
+                chunks.append(new[0, 0])
+                since.append(tick + late)
             if plan.chunk[tick] != HOLD:
                 actions.append(chunks[plan.chunk[tick]][plan.index[tick]])
             else:
@@ -164,6 +170,8 @@ def tick_by_tick(
         ("prefix", 3, 2, "last"),
         ("sync", 3, 2, "last"),
         ("sync", 4, 1, "zero"),
+        ("oracle", 3, 2, "last"),
+        ("oracle", 4, 4, "last"),
     ],
 )
 def test_a_rollout_follows_the_timeline(
@@ -179,7 +187,79 @@ def test_a_rollout_follows_the_timeline(
         assert row.action_delta == pytest.approx(change, rel=1e-6, nan_ok=True)
 
 
-@pytest.mark.parametrize(("name", "s", "d"), [("pinv", 2, 2), ("prefix", 4, 3), ("sync", 4, 2)])
+@pytest.mark.parametrize("s", [1, 4])
+def test_without_delay_the_oracle_is_naive(
+    scene: Scene, policy: Policy, worlds: WorldBatch, s: int
+) -> None:
+    rows = [
+        evaluate(scene, policy, get_method(name), s, 0, range(20), worlds=worlds)
+        for name in ("naive", "oracle")
+    ]
+    labels = ["method", "schedule"]
+    pd.testing.assert_frame_equal(rows[0].drop(columns=labels), rows[1].drop(columns=labels))
+
+
+class Spy:
+    """One world, stepped tick by tick, that remembers what it showed and what was predicted."""
+
+    n = 1
+
+    def __init__(self, worlds: WorldBatch) -> None:
+        self.worlds = worlds
+        self.shown: list[np.ndarray] = []
+        self.predicted: list[tuple[int, np.ndarray]] = []  # (tick it is for, observation)
+
+    def reset(self, seeds: Any, worlds: Any = None) -> Any:
+        self.shown = [self.worlds.reset(seeds, worlds)]
+        return self.shown[0]
+
+    def step(self, actions: np.ndarray, worlds: Any = None) -> Any:
+        before = len(self.shown)
+        for tick in range(actions.shape[1]):
+            record = self.worlds.step(actions[:, tick : tick + 1], worlds)
+            if not record.ticks[0]:
+                break
+            self.shown.append(record.obs)
+        return replace(record, ticks=np.array([len(self.shown) - before], np.int32))
+
+    def predict(self, actions: np.ndarray, worlds: Any = None) -> Any:
+        seen = self.worlds.predict(actions, worlds)
+        self.predicted.append((len(self.shown) - 1 + actions.shape[1], seen))
+        return seen
+
+    def push(self, change: np.ndarray, worlds: Any = None) -> None:
+        self.worlds.push(change, worlds)
+
+
+def test_without_noise_the_oracle_sees_what_its_first_token_will_meet(
+    scene: Scene, policy: Policy
+) -> None:
+    calm = replace(scene, name="calm", action_noise=0.0)
+    with WorldBatch(calm, 1) as worlds:
+        spy = Spy(worlds)
+        evaluate(calm, policy, get_method("oracle"), 3, 2, [4], worlds=spy)
+    met = [(tick, seen) for tick, seen in spy.predicted if tick < len(spy.shown) - 1]
+    assert len(met) > 5
+    assert [tick for tick, _ in met] == list(range(2, 2 + 3 * len(met), 3))
+    for tick, seen in met:
+        np.testing.assert_allclose(seen, spy.shown[tick], atol=1e-5)
+
+
+def test_twins_measure_the_reaction_and_change_nothing_else(
+    scene: Scene, policy: Policy, worlds: WorldBatch
+) -> None:
+    naive = get_method("naive")
+    plain = evaluate(scene, policy, naive, 3, 2, range(20), worlds=worlds)
+    rows = evaluate(scene, policy, naive, 3, 2, range(20), worlds=worlds, reaction_episodes=12)
+    measured = rows.measured_reaction_ticks
+    assert measured[12:].isna().all()
+    assert measured[:12].notna().sum() >= 3
+    assert (measured.dropna() >= 2).all()  # never before d ticks have passed
+    column = ["measured_reaction_ticks"]
+    pd.testing.assert_frame_equal(rows.drop(columns=column), plain.drop(columns=column))
+
+
+@pytest.mark.parametrize(("name", "s", "d"), [("pinv", 2, 2), ("oracle", 4, 3), ("sync", 4, 2)])
 def test_rows_do_not_depend_on_what_runs_beside_them(
     scene: Scene, policy: Policy, worlds: WorldBatch, name: str, s: int, d: int
 ) -> None:

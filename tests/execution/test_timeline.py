@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from rtc_cli.errors import UsageError
 from rtc_cli.execution.timeline import (
     HOLD,
+    SCHEDULES,
     Timeline,
     cycle,
     first_inference,
@@ -48,6 +49,21 @@ def test_async_with_delay_equal_to_exec_horizon() -> None:
     assert plan.index.tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 4]
 
 
+def test_oracle_by_hand() -> None:
+    # H = 8, s = 3, d = 2: token j of the chunk whose inference starts at t acts at t + d + j.
+    plan = timeline(horizon=8, exec_horizon=3, delay=2, ticks=9, schedule="oracle")
+    assert plan.chunk.tolist() == [0, 0, 1, 1, 1, 2, 2, 2, 3]
+    assert plan.index.tolist() == [0, 1, 0, 1, 2, 0, 1, 2, 0]
+    assert [tuple(window) for window in plan.inferences] == [(1, 0, 2), (2, 3, 5), (3, 6, 8)]
+    assert plan.handovers.tolist() == [2, 5, 8]
+
+
+def test_oracle_with_delay_equal_to_exec_horizon() -> None:
+    plan = timeline(horizon=8, exec_horizon=4, delay=4, ticks=9, schedule="oracle")
+    assert plan.chunk.tolist() == [0] * 4 + [1] * 4 + [2]
+    assert plan.index.tolist() == [0, 1, 2, 3, 0, 1, 2, 3, 0]
+
+
 def test_sync_by_hand() -> None:
     plan = timeline(horizon=8, exec_horizon=3, delay=2, ticks=13, schedule="sync")
     assert plan.chunk.tolist() == [0, 0, 0, HOLD, HOLD, 1, 1, 1, HOLD, HOLD, 2, 2, 2]
@@ -57,7 +73,7 @@ def test_sync_by_hand() -> None:
     assert plan.observed_at.tolist() == [0, 0, 0, -1, -1, 3, 3, 3, -1, -1, 8, 8, 8]
 
 
-@given(legal(), st.sampled_from(["async", "sync"]))
+@given(legal(), st.sampled_from(SCHEDULES))
 def test_every_tick_has_one_action_of_an_existing_chunk(case: dict[str, int], how: str) -> None:
     plan = timeline(**case, schedule=how)
     assert plan.chunk.shape == plan.index.shape == (case["ticks"],)
@@ -121,7 +137,7 @@ def test_sync_waits_for_every_chunk_but_the_first(case: dict[str, int]) -> None:
     assert (acting == np.arange(len(acting)) % case["exec_horizon"]).all()
 
 
-@given(legal(), st.sampled_from(["async", "sync"]))
+@given(legal(), st.sampled_from(SCHEDULES))
 def test_inferences_follow_the_cycle(case: dict[str, int], how: str) -> None:
     plan = timeline(**case, schedule=how)
     each = cycle(case["exec_horizon"], case["delay"], how)
@@ -131,7 +147,7 @@ def test_inferences_follow_the_cycle(case: dict[str, int], how: str) -> None:
     assert each.hold + each.overlap_stop + each.new_stop - each.new_start == each.ticks
 
 
-@given(legal(), st.sampled_from(["async", "sync"]))
+@given(legal(), st.sampled_from(SCHEDULES))
 def test_reaction_is_the_first_action_that_could_depend_on_the_event(
     case: dict[str, int], how: str
 ) -> None:

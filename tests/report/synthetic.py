@@ -93,6 +93,7 @@ def cell(
         "late_chunks": 0,
         "waiting_ticks": delay * 7 if schedule == "sync" else 0,
         "reaction_ticks": delay + (exec_horizon - 1) / 2,
+        "measured_reaction_ticks": delay + (exec_horizon - 1) / 2 + 0.5,
         "beyond_trained": False,
         "cell": hashlib.sha256(where.encode()).hexdigest()[:20],
         "policy": policy or hashlib.sha256(f"{checkpoint}{task}{seed}".encode()).hexdigest()[:16],
