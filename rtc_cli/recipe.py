@@ -328,12 +328,16 @@ class Recipe(Section):
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 (hex) of what is computed: name, description and formatting do not enter."""
+        """SHA-256 (hex) of what is computed: name, description and formatting do not enter.
+
+        Nor do the training seeds: each is computed for itself, and a run may be given more.
+        """
         return self.hash_of(*(set(type(self).model_fields) - {"name", "description"}))
 
     def hash_of(self, *fields: str) -> str:
-        """SHA-256 (hex) of some top-level fields, for what depends on these alone."""
+        """SHA-256 (hex) of some top-level fields but for `train.seeds`."""
         content = self.model_dump(mode="json", include=set(fields))
+        content.get("train", {}).pop("seeds", None)
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -400,11 +404,11 @@ def recipe_to_toml(recipe: Recipe) -> str:
 
 
 def differing_keys(first: Recipe, second: Recipe) -> tuple[str, ...]:
-    """Return the dotted keys in which two recipes differ, name and description left out."""
+    """Return the dotted keys in which two recipes differ, as far as the content hash sees."""
     one, two = (_flatten(recipe.model_dump(mode="json")) for recipe in (first, second))
     keys = sorted(one.keys() | two.keys())
     differing = (key for key in keys if one.get(key) != two.get(key))
-    return tuple(key for key in differing if key not in ("name", "description"))
+    return tuple(key for key in differing if key not in ("name", "description", "train.seeds"))
 
 
 def _flatten(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -17,9 +17,9 @@ import platform
 import re
 import socket
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -28,7 +28,13 @@ from typing import Any
 from rtc_cli import __version__
 from rtc_cli.errors import StateError
 from rtc_cli.files import new_folder, os_error, remove_remains, write_json, write_text
-from rtc_cli.recipe import Recipe, differing_keys, load_recipe, recipe_to_toml
+from rtc_cli.recipe import (
+    Recipe,
+    differing_keys,
+    load_recipe,
+    recipe_from_dict,
+    recipe_to_toml,
+)
 
 RUNS_FOLDER = Path("runs")
 MANIFEST_NAME = "manifest.json"
@@ -68,6 +74,23 @@ class Run:
     def report(self) -> Path:
         """Folder of the report."""
         return self.folder / "report"
+
+    def with_seeds(self, seeds: Iterable[int]) -> "Run":
+        """Return the run with these training seeds added to its own; its recipe keeps them.
+
+        Raises StateError where another process writes to the run, UsageError for a seed that is
+        not allowed.
+        """
+        own = self.recipe.train.seeds
+        more = [seed for seed in dict.fromkeys(seeds) if seed not in own]
+        if not more:
+            return self
+        content = self.recipe.model_dump(mode="json", exclude_none=True)
+        content["train"]["seeds"] = [*own, *more]
+        recipe = recipe_from_dict(content, "training seeds", "choose other seeds")
+        with self.lock():
+            write_text(self.folder / RECIPE_NAME, recipe_to_toml(recipe))
+        return replace(self, recipe=recipe)
 
     @contextmanager
     def lock(self) -> Iterator[None]:
@@ -119,9 +142,12 @@ def open_run(folder: Path | str, recipe: Recipe | None = None) -> Run:
 
 
 def open_or_create_run(recipe: Recipe, folder: Path | None, *, device: str | None = None) -> Run:
-    """Open the run in `folder` if there is one from this recipe, else create it."""
+    """Open the run in `folder` if there is one from this recipe, else create it.
+
+    The recipe's training seeds are added to those of the run.
+    """
     if folder is not None and (Path(folder) / MANIFEST_NAME).is_file():
-        return open_run(folder, recipe)
+        return open_run(folder, recipe).with_seeds(recipe.train.seeds)
     return create_run(recipe, folder, device=device)
 
 
@@ -137,6 +163,11 @@ def newest_run(recipe: Recipe | None = None, root: Path = RUNS_FOLDER) -> Run:
             'start one with "rtc run", or name its folder with --run',
         )
     return open_run(found[0][1])
+
+
+def has_run(recipe: Recipe, root: Path = RUNS_FOLDER) -> bool:
+    """Whether a run under `root` was made by this recipe."""
+    return any(found == recipe.content_hash for _, _, found in _runs_under(root))
 
 
 def _runs_under(root: Path) -> Iterator[tuple[str, Path, str]]:

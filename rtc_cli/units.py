@@ -36,22 +36,25 @@ def latency_to_delay(latency_ms: float, hz: float, rounding: Rounding = "ceil") 
     return math.floor(steps + 0.5 + slack)
 
 
-def parse_delays(text: str) -> tuple[int, ...]:
-    """Parse comma-separated integers and inclusive ranges ("0,2-4") into increasing delays."""
+def parse_delays(text: str, what: str = "delays") -> tuple[int, ...]:
+    """Parse comma-separated integers and inclusive ranges ("0,2-4") into increasing integers.
+
+    `what` they are is said in messages.
+    """
     hint = 'write comma-separated integers and inclusive ranges, as in "0,2-4"'
     found: set[int] = set()
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,6})\s*(?:-\s*(\d{1,6})\s*)?", part, flags=re.ASCII)
         if match is None:
-            raise UsageError(f'cannot read delays "{text}": "{part}" is no integer or range', hint)
+            raise UsageError(f'cannot read {what} "{text}": "{part}" is no integer or range', hint)
         low = int(match[1])
         high = int(match[2]) if match[2] is not None else low
         if high < low:
             raise UsageError(
-                f'cannot read delays "{text}": the range "{part.strip()}" runs backwards',
+                f'cannot read {what} "{text}": the range "{part.strip()}" runs backwards',
                 f'write the smaller end first, as in "{high}-{low}"',
             )
         if high - low > 10_000:
-            raise UsageError(f'the range "{part.strip()}" holds over 10000 delays', hint)
+            raise UsageError(f'the range "{part.strip()}" holds over 10000 {what}', hint)
         found.update(range(low, high + 1))
     return tuple(sorted(found))

@@ -8,6 +8,7 @@ from rtc_cli.cli.live import run_jobs
 from rtc_cli.cli.options import (
     JsonOption,
     NewRunOption,
+    NewSeedsOption,
     RecipeArgument,
     ResumeOption,
     SetOption,
@@ -30,6 +31,7 @@ def ablate(
     set_: SetOption = None,
     run: NewRunOption = None,
     resume: ResumeOption = False,
+    seeds: NewSeedsOption = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -43,7 +45,7 @@ def ablate(
     from rtc_cli.report.render import render_ablation
 
     with output(as_json) as out:
-        opened = start(recipe, set_, run, resume=resume, default=DEFAULT_ABLATION)
+        opened = start(recipe, set_, run, resume=resume, seeds=seeds, default=DEFAULT_ABLATION)
         with opened.lock():
             run_jobs(ablation_plan(opened), workers=worker_count(workers))
             built = build_ablation_report(opened.folder)

@@ -138,11 +138,12 @@ def _tasks(text: str | None, recipe: Recipe) -> tuple[str, ...]:
 def _seeds(text: str | None, recipe: Recipe) -> tuple[int, ...]:
     if text is None:
         return recipe.train.seeds
-    wanted = parse_delays(text)
+    wanted = parse_delays(text, what="seeds")
     for seed in wanted:
         if seed not in recipe.train.seeds:
             raise UsageError(
                 f"training seed {seed} is not in this run",
-                f"its training seeds are {', '.join(map(str, recipe.train.seeds))}",
+                f"its training seeds are {', '.join(map(str, recipe.train.seeds))}; "
+                'add seeds to it with "rtc run --seeds"',
             )
     return wanted

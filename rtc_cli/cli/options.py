@@ -69,6 +69,15 @@ NewRunOption = Annotated[
 ResumeOption = Annotated[
     bool, typer.Option("--resume", help="Go on with the newest run of this recipe.")
 ]
+NewSeedsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--seeds",
+        metavar="LIST",
+        help="Training seeds, as in 0-2. The newest run of the recipe (or --run) keeps those it "
+        "has and gets the others too.  [default: the recipe's]",
+    ),
+]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on stdout instead of tables.")
 ]

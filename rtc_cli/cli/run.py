@@ -8,6 +8,7 @@ from rtc_cli.cli.live import run_jobs
 from rtc_cli.cli.options import (
     JsonOption,
     NewRunOption,
+    NewSeedsOption,
     RecipeArgument,
     ResumeOption,
     SetOption,
@@ -20,13 +21,14 @@ app = typer.Typer()
 
 
 @app.command(
-    epilog="Examples:  rtc run   |   rtc run standard --workers 2   |   rtc run standard --resume"
+    epilog="Examples:  rtc run   |   rtc run standard --seeds 0-2   |   rtc run standard --resume"
 )
 def run(
     recipe: RecipeArgument = None,
     set_: SetOption = None,
     run: NewRunOption = None,
     resume: ResumeOption = False,
+    seeds: NewSeedsOption = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -40,7 +42,7 @@ def run(
     from rtc_cli.report.page import build_report
 
     with output(as_json) as out:
-        opened = start(recipe, set_, run, resume=resume)
+        opened = start(recipe, set_, run, resume=resume, seeds=seeds)
         with opened.lock():
             run_jobs(run_plan(opened), workers=worker_count(workers))
             run_jobs(profile_plan(opened), workers=1, threads=None)

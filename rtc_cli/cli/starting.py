@@ -8,7 +8,8 @@ from pathlib import Path
 
 from rtc_cli.errors import UsageError
 from rtc_cli.recipe import Recipe, load_recipe
-from rtc_cli.runs import MANIFEST_NAME, Run, newest_run, open_or_create_run, open_run
+from rtc_cli.runs import MANIFEST_NAME, Run, has_run, newest_run, open_or_create_run, open_run
+from rtc_cli.units import parse_delays
 
 DEFAULT_RECIPE = "quickstart"
 
@@ -19,24 +20,30 @@ def start(
     folder: Path | None,
     *,
     resume: bool,
+    seeds: str | None = None,
     default: str = DEFAULT_RECIPE,
 ) -> Run:
     """Return the run to work on; nothing is written before the whole recipe has been checked.
 
     Without a recipe, an existing `folder` says what it is; else the `default` recipe is taken,
-    which is an ablation where the command needs one.
+    which is an ablation where the command needs one. `seeds` replaces the recipe's training seeds;
+    they are added to those of the newest run of the recipe, if there is one.
     """
+    wanted = None if seeds is None else parse_delays(seeds, what="seeds")
     if recipe is None and folder is not None and (folder / MANIFEST_NAME).is_file():
         if overrides:
             raise UsageError(
                 f"--set would change the recipe of the existing run {folder}",
                 "leave --set away to go on with it, or name a recipe and another --run folder",
             )
-        return open_run(folder)
-    loaded = load_recipe(default if recipe is None else recipe, overrides or ())
+        return open_run(folder).with_seeds(wanted or ())
+    changes = [*(overrides or ())]
+    if wanted is not None:
+        changes.append(f"train.seeds={','.join(map(str, wanted))}")
+    loaded = load_recipe(default if recipe is None else recipe, changes)
     _check(loaded, ablation=default != DEFAULT_RECIPE)
-    if resume and folder is None:
-        return newest_run(loaded)
+    if folder is None and (resume or (wanted is not None and has_run(loaded))):
+        return newest_run(loaded).with_seeds(loaded.train.seeds)
     return open_or_create_run(loaded, folder)
 
 

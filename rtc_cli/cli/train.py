@@ -12,6 +12,7 @@ from rtc_cli.cli.live import run_jobs
 from rtc_cli.cli.options import (
     JsonOption,
     NewRunOption,
+    NewSeedsOption,
     RecipeArgument,
     ResumeOption,
     SetOption,
@@ -37,6 +38,7 @@ def train(
     set_: SetOption = None,
     run: NewRunOption = None,
     resume: ResumeOption = False,
+    seeds: NewSeedsOption = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -49,7 +51,7 @@ def train(
     from rtc_cli.results import machine_record
 
     with output(as_json) as out:
-        opened = start(recipe, set_, run, resume=resume)
+        opened = start(recipe, set_, run, resume=resume, seeds=seeds)
         with opened.lock():
             run_jobs(train_plan(opened), workers=worker_count(workers))
         rows = _rows(opened)

@@ -6,7 +6,8 @@ import sys
 
 import pytest
 
-from rtc_cli.errors import StateError
+from rtc_cli.cli.starting import start
+from rtc_cli.errors import StateError, UsageError
 from rtc_cli.recipe import load_recipe
 from rtc_cli.runs import create_run, newest_run, open_or_create_run, open_run
 
@@ -108,3 +109,33 @@ def test_a_dead_owners_lock_is_taken_over(recipe):
     owner.wait()
     with run.lock():
         pass
+
+
+def test_a_run_accumulates_training_seeds(recipe, tmp_path):
+    other = load_recipe("quickstart", ["train.seeds=3,1"])
+    assert other.content_hash == recipe.content_hash
+    run = create_run(recipe, tmp_path / "run")
+    assert open_or_create_run(other, run.folder).recipe.train.seeds == (0, 3, 1)
+    assert open_run(run.folder).recipe.train.seeds == (0, 3, 1)
+    assert open_run(run.folder, recipe).with_seeds([1]).recipe.train.seeds == (0, 3, 1)
+
+
+def test_seeds_that_tuning_uses_are_refused_and_change_nothing(tmp_path):
+    run = create_run(load_recipe("standard"), tmp_path / "run")
+    before = (run.folder / "recipe.toml").read_bytes()
+    with pytest.raises(UsageError, match=r"tune.train_seed 90"):
+        run.with_seeds([90])
+    assert (run.folder / "recipe.toml").read_bytes() == before
+
+
+def test_seeds_go_to_the_newest_run_of_the_recipe():
+    first = start("quickstart", None, None, resume=False, seeds="0-1")
+    assert first.recipe.train.seeds == (0, 1)
+    second = start("quickstart", None, None, resume=False, seeds="1-2")
+    assert (second.folder, second.recipe.train.seeds) == (first.folder, (0, 1, 2))
+    other = start("quickstart", ["train.epochs=5"], None, resume=False, seeds="4")
+    assert (other.folder != first.folder, other.recipe.train.seeds) == (True, (4,))
+    again = start(None, None, first.folder, resume=False, seeds="7")
+    assert again.recipe.train.seeds == (0, 1, 2, 7)
+    with pytest.raises(UsageError, match=r'cannot read seeds "x"'):
+        start("quickstart", None, None, resume=False, seeds="x")
