@@ -14,12 +14,13 @@ from rtc_cli.errors import UsageError, did_you_mean
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from rtc_cli.tasks.render import Trace
     from rtc_cli.tasks.scene import Scene
+    from rtc_cli.tasks.strip import Trace
 
 app = typer.Typer()
 
 CONTROLLER = "controller"
+MOST_ACTORS = 4
 
 
 def _task_names(incomplete: str) -> list[str]:
@@ -30,7 +31,7 @@ def _task_names(incomplete: str) -> list[str]:
 
 @app.command(
     epilog="Examples:  rtc tasks   |   rtc tasks catcher   |   rtc tasks catcher --render   |   "
-    "rtc tasks catcher --render --by naive --delay 4"
+    "rtc tasks catcher --render --by naive,prefix --delay 4"
 )
 def tasks(
     name: Annotated[
@@ -46,7 +47,8 @@ def tasks(
             "--by",
             metavar="WHO",
             help="Who acts: controller (written by hand), random, or a method such as naive, "
-            "with a run's checkpoints.  [default: controller, or naive with --run]",
+            "with a run's checkpoints; several, as in naive,prefix, are shown side by side in the "
+            "same episode.  [default: controller, or naive with --run]",
         ),
     ] = None,
     run: RunOption = None,
@@ -89,14 +91,17 @@ def tasks(
         if not render:
             out.result({"schema": 1, **_description(scene)}, *_description_parts(scene))
             return
-        who = by or (CONTROLLER if run is None else "naive")
+        actors = _actors(by or (CONTROLLER if run is None else "naive"))
         s = exec_horizon if exec_horizon is not None else max(delay, 1)
-        trace = _trace(scene, who, run, train_seed, delay, s, episode)
-        files = _write(scene, trace, out_dir, frames)
-        row = {"task": name, "by": who, "episode": episode, "length": trace.ticks}
-        row |= {"status": trace.status.name.lower(), "files": [str(file) for file in files]}
-        words = f"{name}, {trace.caption}: {row['status']} after {trace.ticks} control steps"
-        out.result({"schema": 1, "rows": [row]}, words, *(f"wrote {file}" for file in files))
+        traces = [_trace(scene, who, run, train_seed, delay, s, episode) for who in actors]
+        files = _write(scene, traces, out_dir, frames)
+        outcomes = [_outcome(*pair, episode, files) for pair in zip(actors, traces, strict=True)]
+        rows = [{"task": name, **outcome} for outcome in outcomes]
+        words = [
+            f"{name}, {trace.caption}: {row['status']} after {trace.ticks} control steps"
+            for row, trace in zip(rows, traces, strict=True)
+        ]
+        out.result({"schema": 1, "rows": rows}, *words, *(f"wrote {file}" for file in files))
 
 
 def _summary(scene: Scene) -> dict[str, Any]:
@@ -171,6 +176,30 @@ def _prose(scene: Scene) -> str:
     return "\n\n".join(kept)
 
 
+def _actors(by: str) -> tuple[str, ...]:
+    """The names in --by, each once; UsageError for one that nobody has."""
+    from rtc_cli.execution.methods import list_methods
+
+    names = tuple(dict.fromkeys(part.strip() for part in by.split(",")))
+    known = (CONTROLLER, "random", *list_methods())
+    for name in names:
+        if name not in known:
+            raise UsageError(f'--by "{name}" is unknown.' + did_you_mean(name, known))
+    if len(names) > MOST_ACTORS:
+        raise UsageError(f"--by names {len(names)}; at most {MOST_ACTORS} fit side by side.")
+    return names
+
+
+def _outcome(who: str, trace: Trace, episode: int, files: tuple[Path, Path]) -> dict[str, Any]:
+    return {
+        "by": who,
+        "episode": episode,
+        "length": trace.ticks,
+        "status": trace.status.name.lower(),
+        "files": [str(file) for file in files],
+    }
+
+
 def _trace(
     scene: Scene,
     who: str,
@@ -189,9 +218,6 @@ def _trace(
 
         opened = newest_run() if run is None else open_run(run)
         return record_method(opened, scene, who, train_seed, exec_horizon, delay, episode)
-    known = (CONTROLLER, "random")
-    if who not in known:
-        raise UsageError(f'--by "{who}" is unknown.' + did_you_mean(who, (*known, *list_methods())))
     if run is not None or delay or exec_horizon != 1:
         raise UsageError(
             f'--by {who} takes no --run, --delay and --exec-horizon: "{who}" computes no chunks.',
@@ -218,13 +244,13 @@ def _scripted(scene: Scene, who: str, episode: int) -> Trace:
     )
 
 
-def _write(scene: Scene, trace: Trace, folder: Path, frames: int) -> tuple[Path, Path]:
+def _write(scene: Scene, traces: list[Trace], folder: Path, frames: int) -> tuple[Path, Path]:
     from rtc_cli.errors import StateError
     from rtc_cli.tasks.render import save_film_strip, save_gif
 
     if not folder.is_dir():
         raise StateError(f"there is no folder {folder}", "create it, or name another with --out")
     gif, strip = folder / f"{scene.name}.gif", folder / f"{scene.name}.png"
-    save_gif(scene, trace, gif)
-    save_film_strip(scene, trace, strip, frames=frames)
+    save_gif(scene, traces, gif)
+    save_film_strip(scene, traces, strip, frames=frames)
     return gif, strip

@@ -20,7 +20,7 @@ from gymnasium.spaces import Box, Space
 from rtc_cli.errors import UsageError
 from rtc_cli.tasks import get_task
 from rtc_cli.tasks.batch import WorldBatch
-from rtc_cli.tasks.render import draw_world
+from rtc_cli.tasks.drawing import draw_world
 from rtc_cli.tasks.reward import shaped_reward
 from rtc_cli.tasks.scene import SUBSTEP_S, SUBSTEPS, FloatArray, Scene, Status
 

@@ -25,7 +25,7 @@ from gymnasium.vector.utils import batch_space
 from rtc_cli.errors import UsageError
 from rtc_cli.gym.env import METADATA, check_render_mode, draw_seed, find_scene, judged, spaces
 from rtc_cli.tasks.batch import WorldBatch
-from rtc_cli.tasks.render import draw_world
+from rtc_cli.tasks.drawing import draw_world
 from rtc_cli.tasks.scene import FloatArray, Scene, Status
 
 Flags = npt.NDArray[np.bool_]

@@ -15,8 +15,8 @@ from rtc_cli.execution.rollout import evaluate_cell
 from rtc_cli.execution.timeline import timeline
 from rtc_cli.runs import Run
 from rtc_cli.tasks.batch import WorldBatch
-from rtc_cli.tasks.render import Trace
 from rtc_cli.tasks.scene import Scene, Status
+from rtc_cli.tasks.strip import Trace
 
 
 def record_method(
@@ -70,7 +70,7 @@ def record_method(
         status=recorder.status,
         chunk=plan.chunk,
         inferences=tuple((window.start, window.ready) for window in plan.inferences),
-        caption=f"{method.name}, delay d = {delay}, execution horizon s = {exec_horizon}",
+        caption=f"{method.name}, delay d = {delay}, s = {exec_horizon}",
     )
 
 

@@ -33,12 +33,25 @@ def test_pictures_are_written(capsys, tmp_path):
     assert (tmp_path / "lunar_lander.png").stat().st_size > 1000
 
 
+def test_several_are_shown_side_by_side(capsys, tmp_path):
+    line = ["tasks", "lunar_lander", "--render", "--by", "random,controller", "--frames", "2"]
+    assert run([*line, "--json", "--out", str(tmp_path)]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [(row["by"], row["status"]) for row in rows] == [
+        ("random", "failed"),
+        ("controller", "solved"),
+    ]
+    assert rows[0]["files"] == rows[1]["files"]
+
+
 @pytest.mark.parametrize(
     ("line", "code", "words"),
     [
         (["tasks", "lunar_landr"], 2, 'Did you mean "lunar_lander"'),
         (["tasks", "--render"], 2, "needs a task"),
         (["tasks", "catcher", "--render", "--by", "nave"], 2, 'Did you mean "naive"'),
+        (["tasks", "catcher", "--render", "--by", "naive,pnv"], 2, 'Did you mean "pinv"'),
+        (["tasks", "catcher", "--render", "--by", "sync,naive,pinv,prefix,random"], 2, "at most 4"),
         (["tasks", "catcher", "--render", "--delay", "2"], 2, "computes no chunks"),
         (["tasks", "catcher", "--render", "--by", "random", "--out", "missing"], 3, "no folder"),
         (["tasks", "catcher", "--render", "--by", "naive"], 3, "no run"),
