@@ -8,8 +8,8 @@ from PIL import Image
 from toy_scenes import machine
 
 from rtc_cli.tasks import get_task, list_tasks
-from rtc_cli.tasks.library import get_controller
 from rtc_cli.tasks.drawing import BACKGROUND, FLAME, MOTOR, ROLE_COLORS, draw_world
+from rtc_cli.tasks.library import get_controller
 from rtc_cli.tasks.render import (
     draw_frame,
     draw_picture,
