@@ -78,9 +78,10 @@ class WorldBatch:
     def predict(self, actions: npt.ArrayLike, worlds: npt.ArrayLike | None = None) -> FloatArray:
         """Observations (m, O) that `worlds` would show after actions (m, T, A) without noise.
 
-        The worlds stay as they are. The prediction starts from the bodies' states, so where bodies
-        rest on each other it may differ slightly from the world without noise: the solver's cached
-        impulses are not taken over. Finished worlds show their last observation.
+        The worlds stay as they are. A scratch world repeats the episode so far and goes on without
+        noise, so the prediction is exact, at the price of stepping the episode again. After a push
+        or a clamped velocity it starts from the bodies' states without the solver's cached
+        impulses, and is close only. Finished worlds show their last observation.
         """
         return self._batch.predict(*self._checked(actions, worlds))
 

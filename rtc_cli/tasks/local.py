@@ -104,8 +104,9 @@ class LocalBatch:
     def predict(self, actions: FloatArray, worlds: Index) -> FloatArray:
         """What worlds (m,) would show after actions (m, T, A) without noise: obs (m, O).
 
-        Scratch worlds start from the bodies' states alone: contacts are found anew, and the
-        solver's cached impulses are not taken over. The worlds themselves stay as they are.
+        Scratch worlds repeat the episodes up to now, which also gives them the contacts and the
+        solver's cached impulses: bodies' states alone predict badly where motors bear weight on
+        contacts. The worlds themselves stay as they are.
         """
         states = self.states[worlds]
         running = np.flatnonzero(self.status[worlds] == Status.RUNNING)
@@ -120,7 +121,7 @@ class LocalBatch:
         self, actions: StateArray, worlds: Index, rows: Index, states: StateArray
     ) -> None:
         """Advance `states[rows]` through their actions, each to the tick that ends it at most."""
-        self._scratch.reset(worlds[rows].tolist(), states[rows][:, self._moving])
+        self._retrace(worlds[rows])
         for first in range(0, actions.shape[1], MAX_CHUNK):
             names = worlds[rows].tolist()
             piece = actions[rows, first : first + MAX_CHUNK]
@@ -131,6 +132,26 @@ class LocalBatch:
             for row in np.flatnonzero(status == Status.INVALID).tolist():
                 self._scratch.rebuild(names[row])
             rows = rows[status == Status.RUNNING]
+
+    def _retrace(self, worlds: Index) -> None:
+        """Bring scratch worlds (m,) to the present of their worlds by the actions applied so far.
+
+        Worlds that were pushed or clamped in between end elsewhere; they start from their states.
+        """
+        self._scratch.reset(worlds.tolist(), self._start[worlds][:, self._moving])
+        done = self.tick[worlds]
+        reached = self._start[worlds][:, self._moving]
+        for first in range(0, int(done.max(initial=0)), MAX_CHUNK):
+            count = np.clip(done - first, 0, MAX_CHUNK)
+            for ticks in np.unique(count[count > 0]).tolist():
+                rows = np.flatnonzero(count == ticks)
+                applied = self._applied[worlds[rows], first : first + ticks]
+                log, _ = self._scratch.run(worlds[rows].tolist(), applied)
+                reached[rows] = log[:, -1]
+        present = self.states[worlds][:, self._moving]
+        astray = np.flatnonzero(_any(reached != present, (1, 2)))
+        if len(astray):
+            self._scratch.reset(worlds[astray].tolist(), present[astray])
 
     @cached_property
     def _scratch(self) -> Engine:

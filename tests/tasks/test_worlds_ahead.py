@@ -22,17 +22,34 @@ def actions_of(scene: Scene, ticks: int, scale: float = 1.0) -> np.ndarray:
     return (scale * rng.uniform(scene.action_low, scene.action_high, shape)).astype(np.float32)
 
 
-@pytest.mark.parametrize("task", ["lunar_lander", "cartpole_thrust"])
+@pytest.mark.parametrize("scene", [get_task("lunar_lander"), get_task("catcher"), machine()])
 @pytest.mark.parametrize("ticks", [0, 1, 4, 11])
-def test_without_noise_the_prediction_is_what_happens(task: str, ticks: int) -> None:
-    scene = replace(get_task(task), action_noise=0.0)
-    past, future = np.split(actions_of(scene, 3 + ticks), [3], axis=1)
+def test_without_noise_the_prediction_is_what_happens(scene: Scene, ticks: int) -> None:
+    scene = replace(scene, action_noise=0.0)
+    past, future = np.split(actions_of(scene, 13 + ticks), [13], axis=1)
     with WorldBatch(scene, N) as worlds:
         worlds.reset(range(N))
         worlds.step(past)
         predicted = worlds.predict(future)
         happened = worlds.step(future).obs
-    np.testing.assert_allclose(predicted, happened, atol=1e-3)
+    np.testing.assert_array_equal(predicted, happened)
+
+
+def test_worlds_that_were_pushed_or_are_of_different_ages_are_predicted() -> None:
+    scene = replace(machine(), action_noise=0.0)
+    past, future = np.split(actions_of(scene, 14), [10], axis=1)
+    change = np.zeros((1, len(scene.bodies), 3))
+    change[:, list(scene.moving), 0] = 0.2
+    with WorldBatch(scene, N) as worlds:
+        worlds.reset(range(N))
+        worlds.step(past)
+        worlds.push(change, [2])
+        worlds.reset([7, 8], [4, 5])
+        worlds.step(past[4:5, :3], [4])
+        predicted = worlds.predict(future)
+        happened = worlds.step(future).obs
+    np.testing.assert_array_equal(np.delete(predicted, 2, axis=0), np.delete(happened, 2, axis=0))
+    np.testing.assert_allclose(predicted[2], happened[2], atol=0.05)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
