@@ -107,7 +107,7 @@ def tasks(
 def _summary(scene: Scene) -> dict[str, Any]:
     return {
         "task": scene.name,
-        "goal": scene.description.strip().split("\n\n")[0].replace("\n", " "),
+        "goal": scene.goal,
         "observations": scene.obs_dim,
         "actions": scene.action_dim,
         "max_ticks": scene.max_ticks,

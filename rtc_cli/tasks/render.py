@@ -98,7 +98,7 @@ def save_gif(scene: Scene, traces: Sequence[Trace], path: Path, width: int | Non
     stride = 2
     last = max(trace.ticks for trace in traces)
     if width is None:
-        width = 420 if len(traces) > 1 and not _is_flat(scene, traces[0]) else 560
+        width = 420 if len(traces) > 1 and not is_flat(scene) else 560
     ticks = [*range(0, last, stride), last]
     frames = [_quantised(_panels(scene, traces, tick, width)) for tick in ticks]
     step_ms = round(1000 * stride / scene.control_hz / 10) * 10
@@ -122,8 +122,9 @@ def save_film_strip(
     frames: int = 8,
     columns: int = 4,
     width: int = 400,
+    heading: bool = True,
 ) -> None:
-    """Write one PNG with a legend and `frames` pictures per episode, evenly spread in time.
+    """Write one PNG with `frames` pictures per episode, evenly spread in time, below a legend.
 
     The pictures of several episodes at the same steps lie one below the other.
     """
@@ -136,7 +137,8 @@ def save_film_strip(
         for trace in traces
     ]
     sheet_width = columns * (width + GAP) + GAP
-    film = _stacked([_heading(scene, traces, sheet_width - GAP), *rows])
+    head = [_heading(scene, traces, sheet_width - GAP)] if heading else []
+    film = _stacked([*head, *rows])
     sheet = Image.new("RGB", (sheet_width, film.height + GAP), WHITE)
     sheet.paste(film, (GAP, 0))
     out = io.BytesIO()
@@ -147,11 +149,12 @@ def save_film_strip(
 def _panels(scene: Scene, traces: Sequence[Trace], tick: int, width: int) -> Image.Image:
     """All episodes at one step."""
     frames = [draw_frame(scene, trace, tick, width) for trace in traces]
-    return _stacked(frames) if _is_flat(scene, traces[0]) else _beside(frames)
+    return _stacked(frames) if is_flat(scene) else _beside(frames)
 
 
-def _is_flat(scene: Scene, trace: Trace) -> bool:
-    picture = draw_world(scene, trace.states[0], width=64)
+def is_flat(scene: Scene) -> bool:
+    """Whether the pictures of a scene are so wide that several are better stacked."""
+    picture = draw_world(scene, scene.declared_states, width=64)
     return picture.width > FLAT * picture.height
 
 

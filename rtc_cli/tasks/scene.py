@@ -446,6 +446,11 @@ class Scene:
         check_scene(self)
 
     @property
+    def goal(self) -> str:
+        """What to do, in a sentence: the first paragraph of the description."""
+        return self.description.strip().split("\n\n")[0].replace("\n", " ")
+
+    @property
     def control_hz(self) -> float:
         """Control steps per second."""
         return 1.0 / (SUBSTEPS * SUBSTEP_S)
