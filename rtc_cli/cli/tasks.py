@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rtc_cli.cli.options import JsonOption, RunOption
-from rtc_cli.cli.output import output
+from rtc_cli.cli.output import output, progress
 from rtc_cli.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -93,14 +95,15 @@ def tasks(
             return
         actors = _actors(by or (CONTROLLER if run is None else "naive"))
         s = exec_horizon if exec_horizon is not None else max(delay, 1)
-        traces = [_trace(scene, who, run, train_seed, delay, s, episode) for who in actors]
-        files = _write(scene, traces, out_dir, frames)
-        outcomes = [_outcome(*pair, episode, files) for pair in zip(actors, traces, strict=True)]
-        rows = [{"task": name, **outcome} for outcome in outcomes]
-        words = [
-            f"{name}, {trace.caption}: {row['status']} after {trace.ticks} control steps"
-            for row, trace in zip(rows, traces, strict=True)
-        ]
+        record = partial(_trace, scene, run, train_seed, delay, s, episode)
+        traces, files = _render(scene, actors, record, out_dir, frames)
+        rows, words = [], []
+        for who, trace in zip(actors, traces, strict=True):
+            end = {"length": trace.ticks, "status": trace.status.name.lower()}
+            rows.append({"task": name, "by": who, "episode": episode, **end, "files": files})
+            words.append(
+                f"{name}, {trace.caption}: {end['status']} after {trace.ticks} control steps"
+            )
         out.result({"schema": 1, "rows": rows}, *words, *(f"wrote {file}" for file in files))
 
 
@@ -190,24 +193,41 @@ def _actors(by: str) -> tuple[str, ...]:
     return names
 
 
-def _outcome(who: str, trace: Trace, episode: int, files: tuple[Path, Path]) -> dict[str, Any]:
-    return {
-        "by": who,
-        "episode": episode,
-        "length": trace.ticks,
-        "status": trace.status.name.lower(),
-        "files": [str(file) for file in files],
-    }
+def _render(
+    scene: Scene,
+    actors: tuple[str, ...],
+    record: Callable[[str], Trace],
+    folder: Path,
+    frames: int,
+) -> tuple[list[Trace], list[str]]:
+    """Record an episode of every actor and write the pictures: traces and names of the files."""
+    from rtc_cli.errors import StateError
+    from rtc_cli.tasks.render import save_film_strip, save_gif
+
+    if not folder.is_dir():
+        raise StateError(f"there is no folder {folder}", "create it, or name another with --out")
+    traces = []
+    gif, strip = folder / f"{scene.name}.gif", folder / f"{scene.name}.png"
+    with progress() as bars:
+        bar = bars.add_task("episodes", total=len(actors), note="")
+        for who in actors:
+            bars.update(bar, note=who)
+            traces.append(record(who))
+            bars.update(bar, advance=1)
+        bars.update(bar, note="pictures")
+        save_gif(scene, traces, gif)
+        save_film_strip(scene, traces, strip, frames=frames)
+    return traces, [str(gif), str(strip)]
 
 
 def _trace(
     scene: Scene,
-    who: str,
     run: Path | None,
     train_seed: int | None,
     delay: int,
     exec_horizon: int,
     episode: int,
+    who: str,
 ) -> Trace:
     """One episode, with whoever acts."""
     from rtc_cli.execution.methods import list_methods
@@ -242,15 +262,3 @@ def _scripted(scene: Scene, who: str, episode: int) -> Trace:
     return record_episode(
         scene, episode, lambda obs, tick: random.uniform(low, high), "random actions"
     )
-
-
-def _write(scene: Scene, traces: list[Trace], folder: Path, frames: int) -> tuple[Path, Path]:
-    from rtc_cli.errors import StateError
-    from rtc_cli.tasks.render import save_film_strip, save_gif
-
-    if not folder.is_dir():
-        raise StateError(f"there is no folder {folder}", "create it, or name another with --out")
-    gif, strip = folder / f"{scene.name}.gif", folder / f"{scene.name}.png"
-    save_gif(scene, traces, gif)
-    save_film_strip(scene, traces, strip, frames=frames)
-    return gif, strip

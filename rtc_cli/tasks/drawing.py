@@ -76,7 +76,12 @@ def draw_world(
             _draw_pin(draw, camera, _anchor(scene, state, joint.b, joint.a, joint.anchor))
     if action is not None:
         _draw_actions(draw, camera, scene, state, action)
-    return image.resize((width, image.height // SUPERSAMPLE), Image.Resampling.LANCZOS)
+    return image.reduce(SUPERSAMPLE)
+
+
+def picture_size(scene: Scene, width: int) -> tuple[int, int]:
+    """Width and height in pixels of a picture that is `width` wide."""
+    return width, _Camera(scene, width).size[1] // SUPERSAMPLE
 
 
 def darker(color: Color) -> Color:

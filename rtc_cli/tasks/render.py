@@ -29,6 +29,7 @@ from rtc_cli.tasks.drawing import (
     darker,
     draw_world,
     mixed,
+    picture_size,
 )
 from rtc_cli.tasks.scene import FloatArray, Role, Scene, StateArray, Status
 from rtc_cli.tasks.strip import (
@@ -50,6 +51,7 @@ ROLE_NAMES: dict[Role, str] = {
     Role.HAZARD: "hazard: do not touch",
 }
 WHITE: Color = (255, 255, 255)
+GIF_WIDTHS = (560, 420, 340)  # pixels of one picture with one, two, or more side by side
 GAP = 8  # pixels between pictures
 FLAT = 2.0  # worlds wider than this times their height are stacked, not put side by side
 
@@ -92,13 +94,12 @@ def draw_frame(scene: Scene, trace: Trace, tick: int, width: int = 640) -> Image
 def save_gif(scene: Scene, traces: Sequence[Trace], path: Path, width: int | None = None) -> None:
     """Write episodes as one animation in real time, the last picture held for 1.5 seconds.
 
-    `width` of one picture; by default 560 pixels, 420 where pictures lie side by side.
+    `width` of one picture; by default 560 pixels, less the more episodes there are.
     """
     # GIF times are multiples of 10 ms and viewers slow down below 20 ms: every second step.
     stride = 2
     last = max(trace.ticks for trace in traces)
-    if width is None:
-        width = 420 if len(traces) > 1 and not is_flat(scene) else 560
+    width = width or GIF_WIDTHS[min(len(traces), len(GIF_WIDTHS)) - 1]
     ticks = [*range(0, last, stride), last]
     frames = [_quantised(_panels(scene, traces, tick, width)) for tick in ticks]
     step_ms = round(1000 * stride / scene.control_hz / 10) * 10
@@ -154,8 +155,8 @@ def _panels(scene: Scene, traces: Sequence[Trace], tick: int, width: int) -> Ima
 
 def is_flat(scene: Scene) -> bool:
     """Whether the pictures of a scene are so wide that several are better stacked."""
-    picture = draw_world(scene, scene.declared_states, width=64)
-    return picture.width > FLAT * picture.height
+    width, height = picture_size(scene, 640)
+    return width > FLAT * height
 
 
 def _beside(images: Sequence[Image.Image]) -> Image.Image:
