@@ -23,9 +23,9 @@ from PIL import Image
 
 from rtc_cli.tasks import get_task, library
 from rtc_cli.tasks.library import get_controller
-from rtc_cli.tasks.render import is_flat, record_episode, save_film_strip
+from rtc_cli.tasks.render import is_flat, save_film_strip
 from rtc_cli.tasks.scene import FloatArray, Scene, Status
-from rtc_cli.tasks.strip import Trace
+from rtc_cli.tasks.trace import Trace, record_episode
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "tasks.md"
@@ -48,6 +48,22 @@ avoid (control-limited), or losses to what happens in the world meanwhile (infor
 no loss (insensitive).
 
 This page is made by `python docs/make_gallery.py`.
+"""
+
+METHODS = """\
+## Pictures of methods
+
+`rtc tasks catcher --render --by naive,prefix --run DIR --delay 4` plays one episode under each
+method and shows them together. Below a picture lies a strip:
+
+```
+ 1  1  2  2  2  2  3  3  3  3    one cell per control step: the chunk that acts
+            [==3=]      [==4=]   an inference, in the colour of the chunk it makes
+                  ^ now          what lies ahead is paler
+```
+
+An inference begins at the observation it uses and ends where its chunk can be used: its length is
+the delay, and the actions above it were decided before. Grey cells hold still (`sync`).
 """
 
 
@@ -113,7 +129,7 @@ def text() -> str:
             f"{scene.goal} {scene.obs_dim} observations, {scene.action_dim} "
             f"action{'s' if scene.action_dim > 1 else ''}; class: {kind}.\n"
         )
-    return "\n".join([INTRO, "\n".join([head, *rows]), "", *sections])
+    return "\n".join([INTRO, "\n".join([head, *rows]), "", *sections, METHODS])
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from rtc_cli.tasks.scene import Scene
-    from rtc_cli.tasks.strip import Trace
+    from rtc_cli.tasks.trace import Trace
 
 app = typer.Typer()
 
@@ -250,7 +250,7 @@ def _scripted(scene: Scene, who: str, episode: int) -> Trace:
     import numpy as np
 
     from rtc_cli.tasks.library import get_controller
-    from rtc_cli.tasks.render import record_episode
+    from rtc_cli.tasks.trace import record_episode
 
     if who == CONTROLLER:
         controller = get_controller(scene.name)

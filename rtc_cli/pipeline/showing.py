@@ -16,7 +16,7 @@ from rtc_cli.execution.timeline import timeline
 from rtc_cli.runs import Run
 from rtc_cli.tasks.batch import WorldBatch
 from rtc_cli.tasks.scene import Scene, Status
-from rtc_cli.tasks.strip import Trace
+from rtc_cli.tasks.trace import Trace
 
 
 def record_method(

@@ -7,16 +7,14 @@ keeps its last picture.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw
 
 from rtc_cli.files import write_bytes
-from rtc_cli.tasks.batch import WorldBatch
 from rtc_cli.tasks.drawing import (
     BACKGROUND,
     FAINT,
@@ -31,19 +29,17 @@ from rtc_cli.tasks.drawing import (
     mixed,
     picture_size,
 )
-from rtc_cli.tasks.scene import FloatArray, Role, Scene, StateArray, Status
+from rtc_cli.tasks.scene import Role, Scene
 from rtc_cli.tasks.strip import (
     CHUNK_COLORS,
     CURSOR,
     HOLD_COLOR,
     STATUS_COLORS,
-    Trace,
     draw_outcome,
     draw_strip,
     font,
 )
-
-Feedback = Callable[[FloatArray, int], npt.ArrayLike]
+from rtc_cli.tasks.trace import Trace
 
 ROLE_NAMES: dict[Role, str] = {
     Role.GOAL: "goal object",
@@ -54,24 +50,6 @@ WHITE: Color = (255, 255, 255)
 GIF_WIDTHS = (560, 420, 340)  # pixels of one picture with one, two, or more side by side
 GAP = 8  # pixels between pictures
 FLAT = 2.0  # worlds wider than this times their height are stacked, not put side by side
-
-
-def record_episode(scene: Scene, seed: int, act: Feedback, caption: str = "") -> Trace:
-    """Run one episode of a feedback law: `act(observation (O,), tick)` gives one action (A,)."""
-    states: list[StateArray] = []
-    actions: list[FloatArray] = []
-    with WorldBatch(scene, 1) as worlds:
-        obs = worlds.reset([seed])[0]
-        states.append(worlds.states[0])
-        status = Status.RUNNING
-        while status == Status.RUNNING:
-            action = np.asarray(act(obs, len(actions)), np.float32).reshape(scene.action_dim)
-            record = worlds.step(action[None, None])
-            obs, status = record.obs[0], Status(int(record.status[0]))
-            states.append(worlds.states[0])
-            actions.append(action)
-    chunk = np.zeros(len(actions), np.int64)
-    return Trace(np.stack(states), np.stack(actions), status, chunk, (), caption)
 
 
 def draw_picture(scene: Scene, trace: Trace, tick: int, width: int = 640) -> Image.Image:

@@ -12,16 +12,14 @@ and a line that says how much of the episode has passed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from itertools import groupby
 
-import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from rtc_cli.tasks.drawing import BACKGROUND, FAINT, INK, Color, darker, mixed
-from rtc_cli.tasks.scene import StateArray, Status
+from rtc_cli.tasks.scene import Status
+from rtc_cli.tasks.trace import Trace
 
 STATUS_NAMES: dict[Status, str] = {
     Status.RUNNING: "running",
@@ -42,34 +40,6 @@ CURSOR: Color = (200, 30, 90)
 SPAN = 24  # control steps that the strip shows
 AHEAD = 0.4  # strength of the colours of steps that lie ahead
 PAD, LANE, GAP, INFERENCE, TEXT = 8, 15, 3, 8, 22
-
-
-@dataclass(frozen=True)
-class Trace:
-    """An episode of T control steps.
-
-    states (T + 1, bodies, 6), as `WorldBatch.states`; actions (T, A) physical, before noise;
-    chunk (T,) number of the chunk that acts, −1 while holding still, all 0 without chunks;
-    inferences: (start, ready) control steps of every inference, the k-th making chunk k + 1;
-    caption: who acts.
-    """
-
-    states: StateArray
-    actions: npt.NDArray[np.float32]
-    status: Status
-    chunk: npt.NDArray[np.int64]
-    inferences: tuple[tuple[int, int], ...] = ()
-    caption: str = ""
-
-    @property
-    def ticks(self) -> int:
-        """T, the number of control steps."""
-        return len(self.actions)
-
-    @property
-    def chunked(self) -> bool:
-        """Whether whoever acts computes chunks, so that there is something to show."""
-        return bool(self.inferences) or bool(self.chunk.any())
 
 
 def draw_strip(trace: Trace, tick: int, width: int, step_s: float) -> Image.Image:

@@ -13,7 +13,6 @@ from rtc_cli.tasks.library import get_controller
 from rtc_cli.tasks.render import (
     draw_frame,
     draw_picture,
-    record_episode,
     save_film_strip,
     save_gif,
 )
@@ -22,11 +21,11 @@ from rtc_cli.tasks.strip import (
     CURSOR,
     HOLD_COLOR,
     STATUS_COLORS,
-    Trace,
     chunk_color,
     darker,
     draw_strip,
 )
+from rtc_cli.tasks.trace import Trace, record_episode
 
 STEP_S = 1 / 30
 
