@@ -9,10 +9,15 @@ Speed. An epoch is one compiled loop over minibatches; the data lie normalised i
 The loop is entered in segments of about a second, so that progress can be shown and Ctrl-C
 answered. One compiled program serves every segment length, so the segments, whose lengths depend
 on the clock, cannot change the result.
+
+Devices. Where there are several, each minibatch is split over them (a mesh of one axis, "data") and
+parameters and data are held by all; gradients are summed across. The result then differs from that
+of one device in rounding.
 """
 
 import dataclasses
 import functools
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,6 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from rtc_cli.core.delays import DelayDistribution
@@ -217,6 +223,27 @@ Table = tuple[Float[Array, "N O"], Float[Array, "N H A"], Bool[Array, "N H"]]
 
 _Carry = tuple[Any, optax.OptState, Float[Array, ""]]
 
+_DATA_AXIS = "data"
+
+
+def data_mesh(batch: int) -> Mesh | None:
+    """A mesh of all local devices, or of as many as divide the batch; None where that is one."""
+    devices = jax.local_devices()
+    count = math.gcd(batch, len(devices))
+    return Mesh(np.array(devices[:count]), (_DATA_AXIS,)) if count > 1 else None
+
+
+def _on_all(mesh: Mesh | None, tree: Any) -> Any:
+    """Put a copy on each device of the mesh."""
+    return tree if mesh is None else jax.device_put(tree, NamedSharding(mesh, PartitionSpec()))
+
+
+def _split(mesh: Mesh | None, batch: Table) -> Table:
+    """Give each device its part of a minibatch."""
+    if mesh is None:
+        return batch
+    return jax.lax.with_sharding_constraint(batch, NamedSharding(mesh, PartitionSpec(_DATA_AXIS)))
+
 
 @jax.jit
 def _normalised_table(policy: Any, observations: Array, actions: Array, valid: Array) -> Table:
@@ -229,7 +256,7 @@ def _normalised_table(policy: Any, observations: Array, actions: Array, valid: A
     )
 
 
-@functools.partial(jax.jit, static_argnames=("optimisation", "delays"))
+@functools.partial(jax.jit, static_argnames=("optimisation", "delays", "mesh"))
 def _run_segment(
     carry: _Carry,
     table: Table,
@@ -240,6 +267,7 @@ def _run_segment(
     *,
     optimisation: Optimisation,
     delays: DelayDistribution | None,
+    mesh: Mesh | None,
 ) -> tuple[_Carry, Int[Array, ""], Bool[Array, ""]]:
     """Steps start..stop−1 of an epoch; ends early where the summed loss is no longer finite.
 
@@ -255,7 +283,7 @@ def _run_segment(
     def advance(loop: tuple[Int[Array, ""], _Carry]) -> tuple[Int[Array, ""], _Carry]:
         step, (policy, opt_state, loss_sum) = loop
         rows = jax.lax.dynamic_slice(order, (step * optimisation.batch,), (optimisation.batch,))
-        batch = jax.tree.map(lambda column: column[rows], table)
+        batch = _split(mesh, jax.tree.map(lambda column: column[rows], table))
         policy, opt_state, loss = train_step(
             policy,
             opt_state,
@@ -306,15 +334,16 @@ class _Run(Generic[PolicyT]):
         delays: DelayDistribution | None,
         on_progress: Callable[[Progress], None] | None,
         epochs: tuple[int, int],
+        mesh: Mesh | None,
     ) -> None:
-        self.policy = policy
-        self.table = _normalised_table(
-            policy, *map(jnp.asarray, (data.observations, data.actions, data.valid))
-        )
+        self.policy, self.mesh = policy, mesh
+        columns = map(jnp.asarray, (data.observations, data.actions, data.valid))
+        self.table = _on_all(mesh, _normalised_table(policy, *columns))
         self.examples = len(data.observations)
         self.steps = steps_per_epoch(self.examples, optimisation.batch)
         self.optimisation = optimisation
-        self.advance = functools.partial(_run_segment, optimisation=optimisation, delays=delays)
+        settings = {"optimisation": optimisation, "delays": delays, "mesh": mesh}
+        self.advance = functools.partial(_run_segment, **settings)
         self.on_progress = on_progress
         self.first_epoch, self.stop_epoch = epochs
         self.pace = _Pace(self.steps * (self.stop_epoch - self.first_epoch))
@@ -346,7 +375,9 @@ class _Run(Generic[PolicyT]):
     def _epoch_inputs(self, state: TrainState) -> tuple[_Carry, Table, Array, PRNGKeyArray]:
         order, steps_key = _epoch_order(state.key_data, jnp.int32(state.epoch), self.examples)
         policy: Any = dataclasses.replace(self.policy, params=state.params)  # type: ignore[type-var]
-        return (policy, state.opt_state, jnp.float32(0.0)), self.table, order, steps_key
+        carry = (policy, state.opt_state, jnp.float32(0.0))
+        carry, order, steps_key = _on_all(self.mesh, (carry, order, steps_key))
+        return carry, self.table, order, steps_key
 
     def _metrics(self, epoch: int, loss: float, seconds: float) -> EpochMetrics:
         samples = self.steps * self.optimisation.batch
@@ -415,7 +446,8 @@ def fit(
     optimisation = Optimisation.from_config(config, total_steps)
     history: list[EpochMetrics] = []
     if state.epoch < stop_epoch:
-        run = _Run(policy, data, optimisation, delays, on_progress, (state.epoch, stop_epoch))
+        epochs, mesh = (state.epoch, stop_epoch), data_mesh(config.batch)
+        run = _Run(policy, data, optimisation, delays, on_progress, epochs, mesh)
         run.warm_up(state)
         while state.epoch < stop_epoch:
             state, metrics = run.epoch(state)
