@@ -5,6 +5,7 @@
     experts/<task>/<seed>/  data/<task>/seed-<k>/  checkpoints/<task>/seed-<k>/<base|fork|prefix>/
     results/       episodes/*.parquet, training/*.json, profile.json
     report/
+    programs/      compiled programs; worth nothing on another machine
 
 One writer at a time holds the run's lock. The operating system frees the lock when its owner
 dies, however it dies, so the next command takes it over.
@@ -69,6 +70,11 @@ class Run:
     def results(self) -> Path:
         """Folder of everything measured."""
         return self.folder / "results"
+
+    @property
+    def programs(self) -> Path:
+        """Folder of compiled programs, which may be removed at any time."""
+        return self.folder / "programs"
 
     @property
     def report(self) -> Path:

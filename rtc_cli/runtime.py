@@ -2,10 +2,12 @@
 
 import os
 import sys
+from importlib import metadata
 from pathlib import Path
 
 from rtc_cli.errors import UsageError
 
+_GPU_PLUGINS = ("jax-cuda", "jax-rocm")
 _SINGLE_THREAD_FLAG = "--xla_cpu_multi_thread_eigen=false"
 
 
@@ -29,6 +31,19 @@ def use_threads(n: int | None) -> None:
     if n == 1:
         flags.append(_SINGLE_THREAD_FLAG)
     os.environ["XLA_FLAGS"] = " ".join(flags)
+
+
+def has_accelerator() -> bool:
+    """Whether JAX would compute on a GPU, as far as its installed plugins tell; imports nothing."""
+    if os.environ.get("JAX_PLATFORMS", "").startswith("cpu"):
+        return False
+    names = {(found.name or "").lower() for found in metadata.distributions()}
+    return any(name.startswith(_GPU_PLUGINS) for name in names)
+
+
+def share_accelerator() -> None:
+    """Let several processes use one GPU: each takes memory as it needs it, not most at once."""
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 
 def use_compilation_cache(folder: Path | str) -> None:

@@ -15,7 +15,7 @@ from rtc_cli.cli.options import (
     WorkersOption,
 )
 from rtc_cli.cli.output import output
-from rtc_cli.cli.starting import start, worker_count
+from rtc_cli.cli.starting import start
 
 app = typer.Typer()
 
@@ -47,7 +47,7 @@ def ablate(
     with output(as_json) as out:
         opened = start(recipe, set_, run, resume=resume, seeds=seeds, default=DEFAULT_ABLATION)
         with opened.lock():
-            run_jobs(ablation_plan(opened), workers=worker_count(workers))
+            run_jobs(opened, ablation_plan(opened), workers)
             built = build_ablation_report(opened.folder)
         out.result(
             built.data | {"report": str(built.html)},

@@ -21,7 +21,6 @@ from rtc_cli.cli.options import (
     split_names,
 )
 from rtc_cli.cli.output import output
-from rtc_cli.cli.starting import worker_count
 from rtc_cli.errors import UsageError
 from rtc_cli.recipe import EvalConfig, Recipe
 from rtc_cli.units import parse_delays
@@ -105,7 +104,7 @@ def evaluate(
         chosen_seeds = _seeds(seeds, opened.recipe)
         with opened.lock():
             jobs = eval_plan(opened, config, chosen_tasks, chosen_seeds)
-            run_jobs(jobs, workers=worker_count(workers))
+            run_jobs(opened, jobs, workers)
         rows = selected_episodes(opened, config, chosen_tasks, chosen_seeds)
         out.result(evaluation_document(opened, rows), *evaluation_tables(rows))
 

@@ -2,23 +2,48 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rtc_cli.cli.output import progress
 from rtc_cli.pipeline.executors import Job, execute
+from rtc_cli.runs import Run
+from rtc_cli.runtime import has_accelerator
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
+# Physics keeps a core busy while another process's inference keeps the GPU busy.
+_PER_GPU = 4
 
-def run_jobs(jobs: Sequence[Job], *, workers: int, threads: int | None = 1) -> None:
-    """Run jobs and show how they get on, on stderr."""
+
+def run_jobs(run: Run, jobs: Sequence[Job], workers: int | None) -> None:
+    """Run jobs of a run side by side and show how they get on, on stderr.
+
+    Without `workers`: a process per core; with a GPU, a few that share it. The processes keep
+    compiled programs in the run's folder.
+    """
+    threads = None if has_accelerator() else 1
+    _show(jobs, workers=workers or _worker_count(), threads=threads, cache=run.programs)
+
+
+def run_alone(jobs: Sequence[Job]) -> None:
+    """Run jobs that measure time one after the other, with all threads and nothing cached."""
+    _show(jobs, workers=1, threads=None, cache=None)
+
+
+def _show(jobs: Sequence[Job], **settings: Any) -> None:
     with progress() as bars:
         listener = _Bars(bars) if sys.stderr.isatty() else _Lines()
-        execute(jobs, workers=workers, threads=threads, listener=listener)
+        execute(jobs, listener=listener, **settings)
+
+
+def _worker_count() -> int:
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return min(usable or 1, _PER_GPU) if has_accelerator() else usable or 1
 
 
 class _Bars:

@@ -138,7 +138,10 @@ FlowStepsOption = Annotated[
 WorkersOption = Annotated[
     int | None,
     typer.Option(
-        "--workers", min=1, metavar="N", help="Processes to use.  [default: one per core]"
+        "--workers",
+        min=1,
+        metavar="N",
+        help="Processes to use.  [default: one per core, at most 4 with a GPU]",
     ),
 ]
 HzOption = Annotated[

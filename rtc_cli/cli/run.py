@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from rtc_cli.cli.live import run_jobs
+from rtc_cli.cli.live import run_alone, run_jobs
 from rtc_cli.cli.options import (
     JsonOption,
     NewRunOption,
@@ -15,7 +15,7 @@ from rtc_cli.cli.options import (
     WorkersOption,
 )
 from rtc_cli.cli.output import output
-from rtc_cli.cli.starting import start, worker_count
+from rtc_cli.cli.starting import start
 
 app = typer.Typer()
 
@@ -44,8 +44,8 @@ def run(
     with output(as_json) as out:
         opened = start(recipe, set_, run, resume=resume, seeds=seeds)
         with opened.lock():
-            run_jobs(run_plan(opened), workers=worker_count(workers))
-            run_jobs(profile_plan(opened), workers=1, threads=None)
+            run_jobs(opened, run_plan(opened), workers)
+            run_alone(profile_plan(opened))
             page = build_report(opened.folder).html
         recipe_ = opened.recipe
         rows = selected_episodes(opened, recipe_.eval, recipe_.tasks, recipe_.train.seeds)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -45,13 +44,6 @@ def start(
     if folder is None and (resume or (wanted is not None and has_run(loaded))):
         return newest_run(loaded).with_seeds(loaded.train.seeds)
     return open_or_create_run(loaded, folder)
-
-
-def worker_count(workers: int | None) -> int:
-    """Return the processes to use: by default one per core that this process may use."""
-    if workers is not None:
-        return workers
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 
 
 def _check(recipe: Recipe, *, ablation: bool) -> None:

@@ -19,7 +19,7 @@ from rtc_cli.cli.options import (
     WorkersOption,
 )
 from rtc_cli.cli.output import document, output
-from rtc_cli.cli.starting import start, worker_count
+from rtc_cli.cli.starting import start
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -53,7 +53,7 @@ def train(
     with output(as_json) as out:
         opened = start(recipe, set_, run, resume=resume, seeds=seeds)
         with opened.lock():
-            run_jobs(train_plan(opened), workers=worker_count(workers))
+            run_jobs(opened, train_plan(opened), workers)
         rows = _rows(opened)
         out.result(
             document(str(opened.folder), machine_record(), rows),

@@ -20,10 +20,11 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 from rtc_cli.errors import StateError
-from rtc_cli.runtime import use_threads
+from rtc_cli.runtime import share_accelerator, use_compilation_cache, use_threads
 
 Progress = Callable[[float, float, str], None]
 """``progress(done, total, note)``: how far the running job is, in its own unit."""
@@ -67,6 +68,7 @@ def execute(
     *,
     workers: int = 1,
     threads: int | None = 1,
+    cache: Path | None = None,
     listener: Listener | None = None,
 ) -> None:
     """Run all jobs in worker processes; the first error stops everything and is raised.
@@ -75,6 +77,7 @@ def execute(
         jobs: in order of preference. A need that is not the name of one of them is taken as met.
         workers: processes.
         threads: XLA threads of each worker; None leaves XLA its own choice.
+        cache: folder in which the workers share compiled programs; None keeps none.
         listener: hears about the plan, progress and ends.
     """
     if not jobs:
@@ -87,7 +90,7 @@ def execute(
         max_workers=min(workers, len(jobs)),
         mp_context=context,
         initializer=_start_worker,
-        initargs=(messages, os.getpid(), threads),
+        initargs=(messages, os.getpid(), threads, cache),
     )
     try:
         _schedule(pool, jobs, workers, messages, listener)
@@ -158,11 +161,14 @@ def _stop(pool: ProcessPoolExecutor) -> None:
 _messages: Any = None
 
 
-def _start_worker(messages: Any, parent: int, threads: int | None) -> None:
+def _start_worker(messages: Any, parent: int, threads: int | None, cache: Path | None) -> None:
     global _messages
     _messages = messages
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     use_threads(threads)
+    share_accelerator()
+    if cache is not None:
+        use_compilation_cache(cache)
     threading.Thread(target=_leave_with_parent, args=(parent,), daemon=True).start()
 
 
