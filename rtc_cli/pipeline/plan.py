@@ -35,6 +35,8 @@ def run_plan(run: Run) -> list[Job]:
     jobs = _experts(run)
     for place, seed in enumerate(recipe.train.seeds):
         jobs += _training(run, seed)
+        if place == 0:
+            jobs += _diversity(run, seed)
         jobs += eval_plan(run, recipe.eval, recipe.tasks, (seed,))
         if place == 0:
             jobs += _tuning(run)
@@ -43,8 +45,9 @@ def run_plan(run: Run) -> list[Job]:
 
 def train_plan(run: Run) -> list[Job]:
     """Return the jobs of `rtc train`: experts, data, and both checkpoints of every seed."""
-    trainings = (_training(run, seed) for seed in run.recipe.train.seeds)
-    return [*_experts(run), *chain.from_iterable(trainings)]
+    seeds = run.recipe.train.seeds
+    trainings = (_training(run, seed) for seed in seeds)
+    return [*_experts(run), *chain.from_iterable(trainings), *_diversity(run, seeds[0])]
 
 
 def _training(run: Run, seed: int) -> list[Job]:
@@ -138,6 +141,18 @@ def _data_and_forks(run: Run, seeds: Sequence[int]) -> list[Job]:
         jobs.append(Job(data, DATA, collect, experts))
         jobs.append(_policy(run, task, seed, "fork", data))
     return jobs
+
+
+def _diversity(run: Run, seed: int) -> list[Job]:
+    return [
+        Job(
+            f"diversity · {task}",
+            EXPERTS,
+            partial(stages.measure_diversity, run.folder, task, seed),
+            (f"data · {task} · seed {seed}",),
+        )
+        for task in run.recipe.tasks
+    ]
 
 
 def _policies(run: Run, seeds: Sequence[int], kinds: Sequence[str]) -> list[Job]:

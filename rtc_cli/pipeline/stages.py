@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 SAVE_SECONDS = 10.0
 """Training is saved at the first epoch that ends so long after the last save."""
 
+DIVERSITY_STATES = 2048
+"""States of the data, evenly spread, on which experts are compared."""
+
 PREFIX = "prefix"
 """The checkpoint trained with the recipe's own delays; an ablation's variants have other names."""
 
@@ -81,6 +84,30 @@ def collect_data(folder: Path, task: str, train_seed: int, progress: Progress) -
         folder=run.data(task, train_seed),
         progress=lambda state: progress(state["transitions"], state["target"], "control steps"),
     )
+
+
+def measure_diversity(folder: Path, task: str, train_seed: int, progress: Progress) -> None:
+    """Measure how differently the experts act, on states of one training seed's data."""
+    run = open_run(folder)
+    target = run.results / "diversity" / f"{task}.json"
+    if target.is_file():
+        return
+    import numpy as np
+
+    from rtc_cli.data.episodes import EpisodeStore
+    from rtc_cli.experts.diversity import hellinger_distances, mean_distance
+
+    observations = EpisodeStore.open(run.data(task, train_seed)).observations
+    rows = np.linspace(0, len(observations) - 1, min(DIVERSITY_STATES, len(observations)))
+    distances = hellinger_distances(mixture(run, task), observations[rows.astype(int)])
+    record = {
+        "task": task,
+        "experts": len(distances),
+        "states": len(rows),
+        "distances": distances.tolist(),
+        "mean_distance": mean_distance(distances),
+    }
+    write_json(target, record)
 
 
 def mixture(run: Run, task: str) -> list[ExpertPolicy]:

@@ -16,6 +16,7 @@ from rtc_cli.results import ResultStore
 EPISODES = Path("results") / "episodes"
 PROFILE = Path("results") / "profile.json"
 TRAINING = Path("results") / "training"
+DIVERSITY = Path("results") / "diversity"
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class RunInputs:
     profile: Mapping[str, Any]
     training: list[dict[str, Any]]
     experts: list[dict[str, Any]]
+    diversity: list[dict[str, Any]]
 
     @property
     def name(self) -> str:
@@ -62,6 +64,7 @@ def load_run(run_folder: Path | str) -> RunInputs:
         profile=_read_json(folder / PROFILE) or {},
         training=_read_all(folder / TRAINING, "*.json", {"task", "epochs", "loss"}),
         experts=_read_all(folder / "experts", "**/*.json", {"task", "seed", "success"}),
+        diversity=_read_all(folder / DIVERSITY, "*.json", {"task", "mean_distance"}),
     )
 
 

@@ -503,7 +503,25 @@ def experts(run: RunInputs) -> Section:
         f"episode of the data. Those below {points(least)}% success are left out."
     )
     columns = ["task", "seed", "success (%)", "steps", "seconds", "in the data"]
-    return Section("experts", title, [Paragraph(text), Table(columns, lines)])
+    blocks: list[Block] = [Paragraph(text), Table(columns, lines)]
+    return Section("experts", title, blocks + _diversity(run))
+
+
+def _diversity(run: RunInputs) -> list[Block]:
+    """Show how differently the experts of each task act."""
+    lines = [
+        [str(found["task"]), str(found["experts"]), f"{found['mean_distance']:.2f}"]
+        for found in run.diversity
+        if found["mean_distance"] is not None
+    ]
+    if not lines:
+        return []
+    text = (
+        "Diversity of the mixture: the Hellinger distance between the action distributions of two "
+        "experts on the same states of the data, mean over states and pairs. 0: they act alike; "
+        "1: no action of one is possible for the other."
+    )
+    return [Paragraph(text), Table(["task", "experts", "distance"], lines)]
 
 
 # -- provenance ------------------------------------------------------------------------------
