@@ -51,22 +51,22 @@ class PlainWorlds:
         for world, start in zip(self.worlds, starts, strict=True):
             world.place(start)
 
-    def commands(self, actions: np.ndarray) -> tuple[list, list]:
-        """Motor rates and thruster forces as lists, (n, TICKS, ...)."""
+    def commands(self, actions: np.ndarray) -> tuple[list, list, np.ndarray]:
+        """Motor rates and thruster forces as lists, applied actions; (n, TICKS, ...)."""
         noisy = actions + self.noise[:, :TICKS]
         applied = np.clip(noisy, self.scene.action_low, self.scene.action_high)
-        return self.drives.rates(applied).tolist(), self.drives.forces(applied).tolist()
+        return self.drives.rates(applied).tolist(), self.drives.forces(applied).tolist(), applied
 
     def lockstep(self, actions: np.ndarray) -> int:
         """All worlds, tick by tick; executed control steps."""
-        rates, forces = self.commands(actions)
+        rates, forces, applied = self.commands(actions)
         done = 0
         for tick in range(TICKS):
             states = []
             for w, world in enumerate(self.worlds):
                 if self.touched[w]:
                     continue
-                world.tick(rates[w][tick], forces[w][tick])
+                world.tick(rates[w][tick], forces[w][tick], applied[w, tick])
                 states.append(_read(world))
                 done += 1
             np.array(states, np.float32)
@@ -74,7 +74,7 @@ class PlainWorlds:
 
     def sharded(self, actions: np.ndarray) -> int:
         """64 worlds at a time, chunk by chunk; executed control steps."""
-        rates, forces = self.commands(actions)
+        rates, forces, applied = self.commands(actions)
         done = 0
         for first in range(0, len(self.worlds), SHARD):
             shard = range(first, min(first + SHARD, len(self.worlds)))
@@ -85,7 +85,7 @@ class PlainWorlds:
                     for tick in range(start, start + CHUNK):
                         if self.touched[w]:
                             break
-                        world.tick(rates[w][tick], forces[w][tick])
+                        world.tick(rates[w][tick], forces[w][tick], applied[w, tick])
                         done += 1
                     states.append(_read(world))
                 np.array(states, np.float32)

@@ -26,6 +26,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.files import os_error
+from rtc_cli.levels import expand
 from rtc_cli.units import Rounding, parse_delays
 
 Mask = Literal["exp", "linear", "zeros", "ones"]
@@ -292,7 +293,13 @@ class Recipe(Section):
     profile: ProfileConfig = ProfileConfig()
     ablation: AblationConfig | None = None
 
-    _check_tasks = field_validator("tasks")(_unique)
+    @field_validator("tasks")
+    @classmethod
+    def _check_tasks(cls, tasks: tuple[str, ...]) -> tuple[str, ...]:
+        try:
+            return _unique(expand(tasks))
+        except UsageError as error:
+            raise PydanticCustomError("tasks", "{why}", {"why": f"{error}; {error.hint}"}) from None
 
     @model_validator(mode="after")
     def _check_tuning_seed(self) -> Self:

@@ -29,6 +29,7 @@ from typing import Any
 from rtc_cli import __version__
 from rtc_cli.errors import StateError
 from rtc_cli.files import new_folder, os_error, remove_remains, write_json, write_text
+from rtc_cli.levels import short_name
 from rtc_cli.recipe import (
     Recipe,
     differing_keys,
@@ -56,15 +57,15 @@ class Run:
 
     def experts(self, task: str) -> Path:
         """Folder of a task's experts, one folder per expert seed in it."""
-        return self.folder / "experts" / task
+        return self.folder / "experts" / short_name(task)
 
     def data(self, task: str, train_seed: int) -> Path:
         """Folder of the episodes that a training seed learns from."""
-        return self.folder / "data" / task / f"seed-{train_seed}"
+        return self.folder / "data" / short_name(task) / f"seed-{train_seed}"
 
     def checkpoint(self, task: str, train_seed: int, kind: str) -> Path:
         """Folder of one checkpoint; `kind` is base, fork, prefix or an ablation's variant."""
-        return self.folder / "checkpoints" / task / f"seed-{train_seed}" / kind
+        return self.folder / "checkpoints" / short_name(task) / f"seed-{train_seed}" / kind
 
     @property
     def results(self) -> Path:

@@ -12,10 +12,11 @@ from rtc_cli.cli.options import (
     RecipeArgument,
     ResumeOption,
     SetOption,
+    TasksOption,
     WorkersOption,
 )
 from rtc_cli.cli.output import output
-from rtc_cli.cli.starting import start
+from rtc_cli.cli.starting import set_with_tasks, start
 
 app = typer.Typer()
 
@@ -28,6 +29,7 @@ DEFAULT_ABLATION = "ablations/delay_distribution"
 )
 def ablate(
     recipe: RecipeArgument = None,
+    tasks: TasksOption = None,
     set_: SetOption = None,
     run: NewRunOption = None,
     resume: ResumeOption = False,
@@ -45,7 +47,8 @@ def ablate(
     from rtc_cli.report.render import render_ablation
 
     with output(as_json) as out:
-        opened = start(recipe, set_, run, resume=resume, seeds=seeds, default=DEFAULT_ABLATION)
+        changes = set_with_tasks(set_, tasks)
+        opened = start(recipe, changes, run, resume=resume, seeds=seeds, default=DEFAULT_ABLATION)
         with opened.lock():
             run_jobs(opened, ablation_plan(opened), workers)
             built = build_ablation_report(opened.folder)

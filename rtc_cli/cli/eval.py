@@ -17,11 +17,13 @@ from rtc_cli.cli.options import (
     RunOption,
     TasksOption,
     WorkersOption,
+    check_names,
     read_names,
     split_names,
 )
 from rtc_cli.cli.output import output
 from rtc_cli.errors import UsageError
+from rtc_cli.levels import expand, short_name
 from rtc_cli.recipe import EvalConfig, Recipe
 from rtc_cli.units import parse_delays
 
@@ -131,7 +133,12 @@ def _methods(text: str | None) -> tuple[str, ...] | None:
 
 
 def _tasks(text: str | None, recipe: Recipe) -> tuple[str, ...]:
-    return recipe.tasks if text is None else read_names(text, recipe.tasks, "task of this run")
+    """Names as the recipe has them, from full or short names; a folder stands for its levels."""
+    if text is None:
+        return recipe.tasks
+    known = {short_name(task): task for task in recipe.tasks}
+    asked = [short_name(task) for task in expand(split_names(text))]
+    return tuple(known[name] for name in check_names(asked, known, "task of this run"))
 
 
 def _seeds(text: str | None, recipe: Recipe) -> tuple[int, ...]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from rtc_cli.cli.output import document
 from rtc_cli.errors import StateError
+from rtc_cli.levels import short_name
 from rtc_cli.recipe import EvalConfig
 from rtc_cli.runs import Run
 
@@ -32,7 +33,7 @@ def selected_episodes(
         names.add(TUNED)
     first = config.first_episode
     wanted = {
-        "task": tasks,
+        "task": [short_name(task) for task in tasks],
         "train_seed": seeds,
         "method": names,
         "protocol": config.protocols,

@@ -86,7 +86,8 @@ TasksOption = Annotated[
     typer.Option(
         "--tasks",
         metavar="NAMES",
-        help="Tasks, comma-separated.  [default: the recipe's]",
+        help="Tasks, comma-separated; kinetix:PATH_OR_FOLDER for Kinetix level files.  "
+        "[default: the recipe's]",
         autocompletion=complete_list(_tasks),
     ),
 ]

@@ -12,10 +12,11 @@ from rtc_cli.cli.options import (
     RecipeArgument,
     ResumeOption,
     SetOption,
+    TasksOption,
     WorkersOption,
 )
 from rtc_cli.cli.output import output
-from rtc_cli.cli.starting import start
+from rtc_cli.cli.starting import set_with_tasks, start
 
 app = typer.Typer()
 
@@ -25,6 +26,7 @@ app = typer.Typer()
 )
 def run(
     recipe: RecipeArgument = None,
+    tasks: TasksOption = None,
     set_: SetOption = None,
     run: NewRunOption = None,
     resume: ResumeOption = False,
@@ -42,7 +44,8 @@ def run(
     from rtc_cli.report.page import build_report
 
     with output(as_json) as out:
-        opened = start(recipe, set_, run, resume=resume, seeds=seeds)
+        changes = set_with_tasks(set_, tasks)
+        opened = start(recipe, changes, run, resume=resume, seeds=seeds)
         with opened.lock():
             run_jobs(opened, run_plan(opened), workers)
             run_alone(profile_plan(opened))

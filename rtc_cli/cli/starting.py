@@ -32,8 +32,8 @@ def start(
     if recipe is None and folder is not None and (folder / MANIFEST_NAME).is_file():
         if overrides:
             raise UsageError(
-                f"--set would change the recipe of the existing run {folder}",
-                "leave --set away to go on with it, or name a recipe and another --run folder",
+                f"--set and --tasks would change the recipe of the existing run {folder}",
+                "leave them away to go on with it, or name a recipe and another --run folder",
             )
         return open_run(folder).with_seeds(wanted or ())
     changes = [*(overrides or ())]
@@ -44,6 +44,11 @@ def start(
     if folder is None and (resume or (wanted is not None and has_run(loaded))):
         return newest_run(loaded).with_seeds(loaded.train.seeds)
     return open_or_create_run(loaded, folder)
+
+
+def set_with_tasks(overrides: Sequence[str] | None, tasks: str | None) -> list[str]:
+    """Return the overrides of --set, with --tasks as one more of them."""
+    return [*(overrides or ()), *([] if tasks is None else [f"tasks={tasks}"])]
 
 
 def _check(recipe: Recipe, *, ablation: bool) -> None:

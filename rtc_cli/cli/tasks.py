@@ -12,6 +12,7 @@ import typer
 from rtc_cli.cli.options import JsonOption, RunOption
 from rtc_cli.cli.output import output, progress
 from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.levels import expand, is_level
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -38,7 +39,11 @@ def _task_names(incomplete: str) -> list[str]:
 def tasks(
     name: Annotated[
         str | None,
-        typer.Argument(metavar="[NAME]", help="Task to describe.", autocompletion=_task_names),
+        typer.Argument(
+            metavar="[NAME]",
+            help="Task to describe, or kinetix:PATH: a Kinetix level file, or a folder of them.",
+            autocompletion=_task_names,
+        ),
     ] = None,
     render: Annotated[
         bool, typer.Option("--render", help="Write NAME.gif and NAME.png (a film strip).")
@@ -50,7 +55,7 @@ def tasks(
             metavar="WHO",
             help="Who acts: controller (written by hand), random, or a method such as naive, "
             "with a run's checkpoints; several, as in naive,prefix, are shown side by side in the "
-            "same episode.  [default: controller, or naive with --run]",
+            "same episode.  [default: controller (random for a level file), or naive with --run]",
         ),
     ] = None,
     run: RunOption = None,
@@ -81,28 +86,30 @@ def tasks(
     from rtc_cli.tasks import get_task, list_tasks
 
     with output(as_json) as out:
-        if name is None:
+        names = list_tasks() if name is None else expand([name])
+        if name is None or len(names) > 1:
             if render:
-                raise UsageError("--render needs a task.", "name one: rtc tasks catcher --render")
-            scenes = [get_task(each) for each in list_tasks()]
+                raise UsageError("--render needs one task.", "name one: rtc tasks catcher --render")
+            scenes = [get_task(each) for each in names]
             rows = [_summary(scene) for scene in scenes]
             hint = "More about one: rtc tasks NAME. Pictures: rtc tasks NAME --render."
             out.result({"schema": 1, "rows": rows}, _list_table(rows), hint)
             return
-        scene = get_task(name)
+        scene = get_task(names[0])
         if not render:
             out.result({"schema": 1, **_description(scene)}, *_description_parts(scene))
             return
-        actors = _actors(by or (CONTROLLER if run is None else "naive"))
+        scripted = "random" if is_level(name) else CONTROLLER
+        actors = _actors(by or (scripted if run is None else "naive"))
         s = exec_horizon if exec_horizon is not None else max(delay, 1)
         record = partial(_trace, scene, run, train_seed, delay, s, episode)
         traces, files = _render(scene, actors, record, out_dir, frames)
         rows, words = [], []
         for who, trace in zip(actors, traces, strict=True):
             end = {"length": trace.ticks, "status": trace.status.name.lower()}
-            rows.append({"task": name, "by": who, "episode": episode, **end, "files": files})
+            rows.append({"task": scene.name, "by": who, "episode": episode, **end, "files": files})
             words.append(
-                f"{name}, {trace.caption}: {end['status']} after {trace.ticks} control steps"
+                f"{scene.name}, {trace.caption}: {end['status']} after {trace.ticks} control steps"
             )
         out.result({"schema": 1, "rows": rows}, *words, *(f"wrote {file}" for file in files))
 

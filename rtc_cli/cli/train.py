@@ -16,10 +16,11 @@ from rtc_cli.cli.options import (
     RecipeArgument,
     ResumeOption,
     SetOption,
+    TasksOption,
     WorkersOption,
 )
 from rtc_cli.cli.output import document, output
-from rtc_cli.cli.starting import start
+from rtc_cli.cli.starting import set_with_tasks, start
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -35,6 +36,7 @@ app = typer.Typer()
 )
 def train(
     recipe: RecipeArgument = None,
+    tasks: TasksOption = None,
     set_: SetOption = None,
     run: NewRunOption = None,
     resume: ResumeOption = False,
@@ -51,7 +53,8 @@ def train(
     from rtc_cli.results import machine_record
 
     with output(as_json) as out:
-        opened = start(recipe, set_, run, resume=resume, seeds=seeds)
+        changes = set_with_tasks(set_, tasks)
+        opened = start(recipe, changes, run, resume=resume, seeds=seeds)
         with opened.lock():
             run_jobs(opened, train_plan(opened), workers)
         rows = _rows(opened)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from rtc_cli.errors import DivergedError, StateError
 from rtc_cli.execution.methods import METHODS, Method, get_method, get_methods
 from rtc_cli.files import read_json, write_json
+from rtc_cli.levels import short_name
 from rtc_cli.pipeline.executors import Progress
 from rtc_cli.pipeline.stages import PREFIX
 from rtc_cli.recipe import EvalConfig, TuneConfig
@@ -170,7 +171,7 @@ class _Checkpoints:
         meta = read_meta(
             folder,
             expect=Expected(
-                task=self.target.task,
+                task=short_name(self.target.task),
                 train_seed=self.target.train_seed,
                 horizon=self.run.recipe.horizon,
                 recipe_hash=self.run.recipe.content_hash,
@@ -190,7 +191,7 @@ class _Checkpoints:
         target, geometry = self.target, cell.geometry
         return cell_key(
             policy=self.get(cell.method.checkpoint)[1],
-            task=target.task,
+            task=short_name(target.task),
             scene=self.scene.digest,
             sampler=cell.method.sampler,
             settings=method_sampler(cell.method).settings,
@@ -302,7 +303,8 @@ def try_settings(target: Target, cells: Sequence[Cell], progress: Progress) -> N
 
 def _diverged_path(target: Target, cell: Cell) -> Path:
     settings = "_".join(str(value) for _, value in cell.method.settings)
-    return target.store / "diverged" / f"{target.task}_d{cell.geometry.delay}_{settings}.json"
+    name = short_name(target.task)
+    return target.store / "diverged" / f"{name}_d{cell.geometry.delay}_{settings}.json"
 
 
 def _diverged_methods(store: Path) -> set[str]:

@@ -11,6 +11,7 @@ from functools import partial
 from itertools import chain, product
 
 from rtc_cli.execution.methods import METHODS, Method
+from rtc_cli.levels import short_name
 from rtc_cli.pipeline import evaluation, profiling, stages
 from rtc_cli.pipeline.executors import Job
 from rtc_cli.recipe import EvalConfig
@@ -74,7 +75,7 @@ def _variant_evaluations(run: Run, variants: Sequence[str]) -> list[Job]:
     jobs: list[Job] = []
     for task, seed, variant in product(run.recipe.tasks, run.recipe.train.seeds, variants):
         target = evaluation.target_of(run, config, task, seed, variant)
-        name = f"evaluate {variant} · {task} · seed {seed}"
+        name = f"evaluate {variant} · {short_name(task)} · seed {seed}"
         work = partial(evaluation.evaluate, target, cells)
         jobs.append(Job(name, EVALUATION, work, (_policy_name(task, seed, variant),)))
     return jobs
@@ -111,7 +112,9 @@ def eval_plan(
 def _evaluation(
     task: str, seed: int, method: Method, work: Callable[..., None], *, tuned: bool = False
 ) -> Job:
-    name = f"evaluate {evaluation.TUNED if tuned else method.name} · {task} · seed {seed}"
+    name = (
+        f"evaluate {evaluation.TUNED if tuned else method.name} · {short_name(task)} · seed {seed}"
+    )
     needs = (_policy_name(task, seed, method.checkpoint), *((_CHOOSE,) if tuned else ()))
     return Job(name, EVALUATION, work, needs)
 
@@ -124,7 +127,7 @@ def profile_plan(run: Run) -> list[Job]:
 def _experts(run: Run) -> list[Job]:
     return [
         Job(
-            f"expert · {task} · seed {seed}",
+            _expert_name(task, seed),
             EXPERTS,
             partial(stages.train_expert, run.folder, task, seed),
         )
@@ -135,8 +138,8 @@ def _experts(run: Run) -> list[Job]:
 def _data_and_forks(run: Run, seeds: Sequence[int]) -> list[Job]:
     jobs: list[Job] = []
     for task, seed in product(run.recipe.tasks, seeds):
-        experts = tuple(f"expert · {task} · seed {expert}" for expert in run.recipe.experts.seeds)
-        data = f"data · {task} · seed {seed}"
+        experts = tuple(_expert_name(task, expert) for expert in run.recipe.experts.seeds)
+        data = _data_name(task, seed)
         collect = partial(stages.collect_data, run.folder, task, seed)
         jobs.append(Job(data, DATA, collect, experts))
         jobs.append(_policy(run, task, seed, "fork", data))
@@ -146,10 +149,10 @@ def _data_and_forks(run: Run, seeds: Sequence[int]) -> list[Job]:
 def _diversity(run: Run, seed: int) -> list[Job]:
     return [
         Job(
-            f"diversity · {task}",
+            f"diversity · {short_name(task)}",
             EXPERTS,
             partial(stages.measure_diversity, run.folder, task, seed),
-            (f"data · {task} · seed {seed}",),
+            (_data_name(task, seed),),
         )
         for task in run.recipe.tasks
     ]
@@ -167,8 +170,16 @@ def _policy(run: Run, task: str, seed: int, kind: str, need: str) -> Job:
     return Job(_policy_name(task, seed, kind), TRAINING, work, (need,))
 
 
+def _expert_name(task: str, seed: int) -> str:
+    return f"expert · {short_name(task)} · seed {seed}"
+
+
+def _data_name(task: str, seed: int) -> str:
+    return f"data · {short_name(task)} · seed {seed}"
+
+
 def _policy_name(task: str, seed: int, kind: str) -> str:
-    return f"{kind} · {task} · seed {seed}"
+    return f"{kind} · {short_name(task)} · seed {seed}"
 
 
 _CHOOSE = "choose pinv's settings"
@@ -183,7 +194,7 @@ def _tuning(run: Run) -> list[Job]:
     jobs = [*_data_and_forks(run, seeds), *_policies(run, seeds, ("base",))]
     names = []
     for task in run.recipe.tasks:
-        name = f"tune pinv · {task}"
+        name = f"tune pinv · {short_name(task)}"
         target = evaluation.tuning_target(run, config, task)
         need = (_policy_name(task, config.train_seed, "base"),)
         jobs.append(Job(name, TUNING, partial(evaluation.try_settings, target, cells), need))

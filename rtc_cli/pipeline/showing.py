@@ -13,6 +13,7 @@ from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.execution.methods import get_method
 from rtc_cli.execution.rollout import evaluate_cell
 from rtc_cli.execution.timeline import timeline
+from rtc_cli.levels import short_name
 from rtc_cli.runs import Run
 from rtc_cli.tasks.batch import WorldBatch
 from rtc_cli.tasks.scene import Scene, Status
@@ -35,10 +36,10 @@ def record_method(
     """
     from rtc_cli.training.checkpoints import Expected, load_policy
 
-    if scene.name not in run.recipe.tasks:
+    names = [short_name(task) for task in run.recipe.tasks]
+    if scene.name not in names:
         raise UsageError(
-            f'run {run.folder} has no task "{scene.name}".'
-            + did_you_mean(scene.name, run.recipe.tasks)
+            f'run {run.folder} has no task "{scene.name}".' + did_you_mean(scene.name, names)
         )
     method = get_method(method_name)
     seed = run.recipe.train.seeds[0] if train_seed is None else train_seed

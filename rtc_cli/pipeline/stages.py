@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rtc_cli.errors import StateError
 from rtc_cli.files import read_json, write_json
+from rtc_cli.levels import short_name
 from rtc_cli.pipeline.executors import Progress
 from rtc_cli.recipe import DelayConfig
 from rtc_cli.runs import Run, open_run
@@ -60,7 +61,7 @@ def train_expert(folder: Path, task: str, seed: int, progress: Progress) -> None
     write_json(
         record,
         {
-            "task": task,
+            "task": short_name(task),
             "seed": seed,
             "success": result.success,
             "steps": result.steps,
@@ -89,7 +90,7 @@ def collect_data(folder: Path, task: str, train_seed: int, progress: Progress) -
 def measure_diversity(folder: Path, task: str, train_seed: int, progress: Progress) -> None:
     """Measure how differently the experts act, on states of one training seed's data."""
     run = open_run(folder)
-    target = run.results / "diversity" / f"{task}.json"
+    target = run.results / "diversity" / f"{short_name(task)}.json"
     if target.is_file():
         return
     import numpy as np
@@ -101,7 +102,7 @@ def measure_diversity(folder: Path, task: str, train_seed: int, progress: Progre
     rows = np.linspace(0, len(observations) - 1, min(DIVERSITY_STATES, len(observations)))
     distances = hellinger_distances(mixture(run, task), observations[rows.astype(int)])
     record = {
-        "task": task,
+        "task": short_name(task),
         "experts": len(distances),
         "states": len(rows),
         "distances": distances.tolist(),
@@ -123,8 +124,8 @@ def mixture(run: Run, task: str) -> list[ExpertPolicy]:
     if not good:
         best = max(record["success"] for record in records)
         raise StateError(
-            f"no expert of task {task} is good enough: the best succeeds in {best:.2f} of its "
-            f"episodes, experts.min_success is {config.min_success}",
+            f"no expert of task {short_name(task)} is good enough: the best succeeds in {best:.2f} "
+            f"of its episodes, experts.min_success is {config.min_success}",
             "add experts.seeds, raise experts.max_steps or lower experts.min_success",
         )
     return [ExpertPolicy.load(run.experts(task) / str(seed)) for seed in good]
@@ -161,7 +162,7 @@ class _Fit:
         self.delays = delay_distribution(delays_of(run, kind))
         self.data = _windows(run, task, train_seed)
         self.policy, self.meta = self._new_policy()
-        self.partial = run.folder / "partial" / task / f"seed-{train_seed}" / kind
+        self.partial = run.folder / "partial" / short_name(task) / f"seed-{train_seed}" / kind
         self.curve = _Curve(curve_path(run, task, train_seed, kind), task, train_seed, kind)
 
     def run(self, progress: Progress) -> TrainState:
@@ -236,7 +237,7 @@ class _Fit:
         normaliser = Normaliser.from_data(data.observations, data.actions, data.valid)
         policy = Policy.init(config, normaliser, jax.random.key(self.train_seed))
         meta = CheckpointMeta(
-            task=self.task,
+            task=short_name(self.task),
             kind=_kind_of(self.kind),
             train_seed=self.train_seed,
             epoch=0,
@@ -257,7 +258,7 @@ class _Curve:
 
     def __init__(self, path: Path, task: str, train_seed: int, kind: str) -> None:
         self.path = path
-        self.labels = {"task": task, "train_seed": train_seed, "checkpoint": kind}
+        self.labels = {"task": short_name(task), "train_seed": train_seed, "checkpoint": kind}
         self.columns: dict[str, list[float]] = {name: [] for name in self._COLUMNS}
         if path.is_file():
             self._read(path)
@@ -297,7 +298,7 @@ def _kind_of(name: str) -> Literal["base", "fork", "prefix"]:
 
 def curve_path(run: Run, task: str, train_seed: int, kind: str) -> Path:
     """Return the file of one training curve."""
-    return run.results / "training" / f"{task}-seed{train_seed}-{kind}.json"
+    return run.results / "training" / f"{short_name(task)}-seed{train_seed}-{kind}.json"
 
 
 def delays_of(run: Run, kind: str) -> DelayConfig | None:

@@ -2,7 +2,7 @@
 
 A module in the library offers `SCENE`, or a function `scene()`. A package adds tasks through the
 entry point group `rtc_cli.tasks`: the entry's name is the task's, its value a `Scene` or a
-function without arguments that returns one.
+function without arguments that returns one. Level files have names too: "kinetix:PATH".
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.levels import expand, is_level, level_path, short_name
 from rtc_cli.tasks.scene import Scene
 
 __all__ = ["get_task", "list_tasks"]
@@ -26,16 +27,36 @@ def list_tasks() -> tuple[str, ...]:
     return tuple(sorted({*_built_in(), *_plugins()}))
 
 
-@cache
 def get_task(name: str) -> Scene:
-    """The scene called `name`; UsageError with suggestions if there is none."""
+    """The scene called `name`; UsageError with suggestions if there is none.
+
+    "kinetix:PATH" reads a level file; the scene's own name is then "kinetix-<file name>".
+    """
+    if not is_level(name):
+        return _named(name)
+    found = expand([name])
+    if len(found) > 1:
+        raise UsageError(
+            f'"{name}" holds {len(found)} levels: {", ".join(map(short_name, found))}',
+            "name one of the files where one task is meant",
+        )
+    from rtc_cli.tasks.kinetix import load_level
+
+    return load_level(level_path(found[0]))  # not kept: files may change
+
+
+@cache
+def _named(name: str) -> Scene:
     if name in _built_in():
         module = importlib.import_module(f"{_LIBRARY}.{name}")
         found: object = getattr(module, "SCENE", None) or module.scene
     elif name in _plugins():
         found = _plugins()[name].load()
     else:
-        raise UsageError(f'unknown task "{name}".' + did_you_mean(name, list_tasks()))
+        raise UsageError(
+            f'unknown task "{name}".' + did_you_mean(name, list_tasks()),
+            "a level file is named kinetix:PATH",
+        )
     scene = found if isinstance(found, Scene) else found() if callable(found) else found
     if not isinstance(scene, Scene):
         raise UsageError(f'task "{name}" gave {type(scene).__name__}; it must give a Scene.')

@@ -72,7 +72,7 @@ class PublicEngine:
             world = self._worlds[index]
             for tick in range(actions.shape[1]):
                 self._touched.clear()
-                world.tick(rates[row][tick], forces[row][tick])
+                world.tick(rates[row][tick], forces[row][tick], actions[row, tick])
                 world.read(log[row, tick])
                 contacts += [Contact(row, tick, role) for role in self._touched]
         return log, contacts

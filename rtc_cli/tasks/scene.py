@@ -207,6 +207,22 @@ class Body:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Weighed(Body):
+    """A body of given mass (kg) and moment of inertia (kg·m²) instead of those of its shapes.
+
+    Its centre of gravity is its origin; the shapes' densities have no effect.
+    """
+
+    mass: float
+    moment: float
+
+    @property
+    def centre(self) -> Vec:
+        """Centre of gravity, local to the body."""
+        return (0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Joint:
     """Common part of all joints between bodies `a` and `b`; `collide` lets the two touch."""
 
@@ -281,6 +297,27 @@ class Motor:
     action: str
     max_rate: float
     max_torque: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class TanhMotor:
+    """A soft drive of ω_b − ω_a towards action · max_rate (rad/s); free at action 0.
+
+    Per substep it turns `b` by the torque −gain · m · tanh(softness · (ω_b − ω_a − action ·
+    max_rate)) and `a` by the opposite, with m = 1 / (1/I_a + 1/I_b): gain in rad/s², softness in
+    s/rad. It has no limit of its own but the tanh. With `limits` (on angle(b) − angle(a), absolute)
+    the torque falls to 0 over the last `fade` radians of the way to the limit that the command
+    points to. Several motors may share an action. Source: the motors of the Kinetix simulator.
+    """
+
+    a: str
+    b: str
+    action: str
+    max_rate: float
+    gain: float
+    softness: float = 0.1
+    limits: tuple[float, float] | None = None
+    fade: float = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -426,7 +463,7 @@ class Scene:
     actions: tuple[Action, ...]
     observations: tuple[Observe, ...]
     joints: tuple[Joint, ...] = ()
-    motors: tuple[Motor, ...] = ()
+    motors: tuple[Motor | TanhMotor, ...] = ()
     thrusters: tuple[Thruster, ...] = ()
     jitters: tuple[Jitter, ...] = ()
     progress_terms: tuple[Distance | Along, ...] = ()

@@ -12,7 +12,7 @@ from rtc_cli.cli.app import COMMANDS
 
 PACKAGE = Path(rtc_cli.__file__).parent
 
-LEAVES = {"errors", "units", "files", "intervals"}
+LEAVES = {"errors", "units", "files", "intervals", "levels"}
 
 ARROWS = {
     "__main__": {"cli"},
@@ -36,6 +36,7 @@ ARROWS = {
     "units": {"errors"},
     "files": {"errors"},
     "intervals": {"errors"},
+    "levels": {"errors"},
 }
 
 # Beside the arrows: the types of a recipe's sections, the run's layout, the records of results.

@@ -48,7 +48,7 @@ def test_several_are_shown_side_by_side(capsys, tmp_path):
     ("line", "code", "words"),
     [
         (["tasks", "lunar_landr"], 2, 'Did you mean "lunar_lander"'),
-        (["tasks", "--render"], 2, "needs a task"),
+        (["tasks", "--render"], 2, "needs one task"),
         (["tasks", "catcher", "--render", "--by", "nave"], 2, 'Did you mean "naive"'),
         (["tasks", "catcher", "--render", "--by", "naive,pnv"], 2, 'Did you mean "pinv"'),
         (["tasks", "catcher", "--render", "--by", "sync,naive,pinv,prefix,random"], 2, "at most 4"),

@@ -133,4 +133,4 @@ def test_plugins_add_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
     assert tasks.get_task("mine") == machine()
     with pytest.raises(UsageError, match="float"):
         tasks.get_task("wrong")
-    tasks.get_task.cache_clear()
+    tasks._named.cache_clear()
