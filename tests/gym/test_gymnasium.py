@@ -9,6 +9,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from level_files import hover, write_level
 from toy_scenes import machine
 
 import rtc_cli.gym
@@ -57,6 +58,17 @@ def test_ids():
     assert gymnasium.make("rtc/Task-v0", task=machine()).unwrapped.scene.name == "machine"
     with pytest.raises(UsageError, match="catcher"):
         gymnasium.make("rtc/Task-v0", task="cacher")
+
+
+def test_kinetix_levels_are_tasks_too(tmp_path):
+    path = write_level(tmp_path, hover())
+    env = gymnasium.make("rtc/Task-v0", task=f"kinetix:{path}", render_mode="rgb_array")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+    envs = gymnasium.make_vec("rtc/Task-v0", 3, task=f"kinetix:{path}")
+    obs, _ = envs.reset(seed=0)
+    np.testing.assert_array_equal(obs[0], env.reset(seed=0)[0])
 
 
 def test_a_seed_is_the_number_of_the_episode():
