@@ -144,9 +144,15 @@ class ExpertsConfig(Section):
 
 
 class DataConfig(Section):
-    """How much expert data: valid control steps per task and training seed."""
+    """Expert data: how many valid control steps per task and training seed, and who acts.
+
+    `experts`: how many of the good experts act, the first by seed; all without it.
+    `policy_std`: scale of the experts' own standard deviation; 0 is the mean action.
+    """
 
     transitions: Positive = 65_000
+    experts: Positive | None = None
+    policy_std: NonNegativeFloat = 1.0
 
 
 class NetworkConfig(Section):
@@ -206,7 +212,9 @@ class TuneConfig(Section):
 class EvalConfig(Section):
     """Which cells are evaluated; `episodes` is per training seed and cell.
 
-    The first `reaction_episodes` of them run once more in each cell, with a push.
+    The first `reaction_episodes` of them run once more in each cell, with a push. `action_noise`:
+    standard deviations of the worlds' noise during evaluation, each with cells of its own; empty
+    is the task's own. Data are collected with the task's own noise in any case.
     """
 
     delays: Delays = (0, 1, 2, 3, 4)
@@ -218,12 +226,14 @@ class EvalConfig(Section):
     first_episode: Annotated[int, Field(ge=0, lt=400_000)] = 0
     hold: Literal["last", "zero"] = "last"
     reaction_episodes: Count = 0
+    action_noise: tuple[NonNegativeFloat, ...] = ()
     matrix: bool = False
     pinv: PinvConfig = PinvConfig()
     tune: TuneConfig | None = None
 
     _check_delays = field_validator("delays")(_ascending)
     _check_methods = field_validator("methods")(_unique)
+    _check_noise = field_validator("action_noise")(_unique)
 
     @model_validator(mode="after")
     def _check_counts(self) -> Self:
@@ -309,6 +319,13 @@ class Recipe(Section):
                 f"eval.tune.train_seed {tune.train_seed} is one of train.seeds; tune on a seed "
                 "that is not evaluated"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _check_mixture(self) -> Self:
+        wanted, seeds = self.data.experts, self.experts.seeds
+        if wanted is not None and wanted > len(seeds):
+            raise ValueError(f"data.experts {wanted} exceeds the {len(seeds)} of experts.seeds")
         return self
 
     @model_validator(mode="after")

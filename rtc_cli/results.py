@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 from rtc_cli.errors import StateError
 from rtc_cli.files import os_error, write_bytes
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 _TEXT, _INT, _FLOAT, _BOOL = pa.string(), pa.int64(), pa.float64(), pa.bool_()
 
@@ -43,6 +43,7 @@ EPISODE_COLUMNS: dict[str, tuple[pa.DataType, str, bool]] = {
     "delay": (_INT, "control steps", False),
     "exec_horizon": (_INT, "control steps", False),
     "flow_steps": (_INT, "", False),
+    "action_noise": (_FLOAT, "action", False),
     "episode": (_INT, "", False),
     "status": (_INT, "1 solved, 2 failed, 3 timeout, 4 invalid", False),
     "solved": (_BOOL, "", False),
@@ -97,7 +98,7 @@ def cell_key(
 
     Args:
         policy: digest of the checkpoint.
-        scene: digest of the scene.
+        scene: digest of the scene with the noise that it is evaluated with.
         settings: all settings of the sampler, defaults included (``Sampler.settings``).
         hold: what ``sync`` executes while it waits; it has no part in other cells.
         reaction_episodes: how many of the episodes run once more, with a push.

@@ -50,7 +50,17 @@ def selected_episodes(
             mask | reference if column in free else mask
             for column, mask in zip(wanted, asked, strict=True)
         ]
-    return rows[np.logical_and.reduce(asked)]
+    return rows[np.logical_and.reduce([*asked, _noise_asked(rows, config, tasks)])]
+
+
+def _noise_asked(rows: pd.DataFrame, config: EvalConfig, tasks: tuple[str, ...]) -> pd.Series[bool]:
+    """Say which rows were evaluated under a noise that was asked for: without one, the task's."""
+    from rtc_cli.tasks import get_task
+
+    if config.action_noise:
+        return rows["action_noise"].isin(config.action_noise)
+    own = {short_name(task): get_task(task).action_noise for task in tasks}
+    return rows["action_noise"] == rows["task"].map(own)
 
 
 def evaluation_document(run: Run, rows: pd.DataFrame) -> dict[str, Any]:

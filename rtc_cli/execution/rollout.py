@@ -408,7 +408,7 @@ def _rows(
         schedule=method.schedule,
         control_hz=scene.control_hz,
     )
-    columns: dict[str, NDArray[np.generic] | str | int] = {
+    columns: dict[str, NDArray[np.generic] | str | float] = {
         "task": scene.name,
         "method": method.name,
         "checkpoint": method.checkpoint,
@@ -417,6 +417,7 @@ def _rows(
         "schedule": method.schedule,
         "delay": delay,
         "exec_horizon": exec_horizon,
+        "action_noise": scene.action_noise,
         "episode": run.episodes,
         "status": run.status.astype(np.int64),
         "solved": solved,

@@ -145,7 +145,7 @@ class MixtureActor:
     acts in an episode.
     """
 
-    def __init__(self, experts: Sequence[ExpertPolicy], seed: int) -> None:
+    def __init__(self, experts: Sequence[ExpertPolicy], seed: int, policy_std: float = 1.0) -> None:
         if not experts:
             raise UsageError("a mixture needs at least one expert, got none")
         sizes = {(expert.obs_dim, expert.action_dim) for expert in experts}
@@ -156,6 +156,7 @@ class MixtureActor:
             )
         self.experts = tuple(experts)
         self.seed = seed
+        self.policy_std = policy_std
         self.expert_ids = tuple(expert.digest for expert in experts)
         self._choice_key, self._noise_key = jax.random.split(jax.random.key(seed))
 
@@ -170,21 +171,24 @@ class MixtureActor:
         """Return physical actions (n, A) float32 for obs (n, O), episode (n,), tick (n,)."""
         keys = (self._choice_key, self._noise_key)
         return _in_tiles(
-            partial(_mixture_actions, self.experts, keys),
+            partial(_mixture_actions, self.experts, keys, self.policy_std),
             np.asarray(obs, np.float32),
             np.asarray(episode, np.uint32),
             np.asarray(tick, np.uint32),
         )
 
 
-def mixture_actor(experts: Sequence[ExpertPolicy], seed: int) -> MixtureActor:
+def mixture_actor(
+    experts: Sequence[ExpertPolicy], seed: int, policy_std: float = 1.0
+) -> MixtureActor:
     """Return an actor `(obs (n, O), episode (n,), tick (n,)) -> actions (n, A)`.
 
-    Each episode gets one expert, uniformly at random; the expert samples its actions. Both depend
-    on (seed, episode, tick) and the row's observation only, bit for bit, whatever the batch: rows
-    go through the network in padded tiles of one size. Episodes and ticks must fit in 32 bits.
+    Each episode gets one expert, uniformly at random; the expert samples its actions, with its
+    standard deviation times `policy_std` (0: the action at the mean of u). Both depend on (seed,
+    episode, tick) and the row's observation only, bit for bit, whatever the batch: rows go through
+    the network in padded tiles of one size. Episodes and ticks must fit in 32 bits.
     """
-    return MixtureActor(experts, seed)
+    return MixtureActor(experts, seed, policy_std)
 
 
 def _in_tiles(function: Any, *rows: np.ndarray) -> np.ndarray:
@@ -209,10 +213,11 @@ def _choose(key: jax.Array, episode: jax.Array, count: int) -> jax.Array:
     return jax.vmap(lambda k: jax.random.randint(k, (), 0, count))(keys)
 
 
-@jax.jit
+@partial(jax.jit, static_argnums=2)
 def _mixture_actions(
     experts: tuple[ExpertPolicy, ...],
     keys: tuple[jax.Array, jax.Array],
+    policy_std: float,
     obs: jax.Array,
     episode: jax.Array,
     tick: jax.Array,
@@ -221,6 +226,8 @@ def _mixture_actions(
     chosen = _choose(choice_key, episode, len(experts))
     per_episode = jax.vmap(jax.random.fold_in, (None, 0))(noise_key, episode)
     noise = _normals(jax.vmap(jax.random.fold_in)(per_episode, tick), experts[0].action_dim)
+    if policy_std != 1.0:  # even a factor of 1 would change how the program rounds
+        noise = policy_std * noise
     # A few small networks for all rows are cheaper than sorting the rows by expert.
     proposals = jnp.stack([expert.act(obs, noise) for expert in experts])
     return proposals[chosen, jnp.arange(obs.shape[0])]

@@ -5,6 +5,7 @@ A cell that is present is never computed again, under whatever method or protoco
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from rtc_cli.core.geometry import ChunkGeometry
     from rtc_cli.core.policy import Policy
     from rtc_cli.results import ResultStore
+    from rtc_cli.tasks.scene import Scene
 
 TUNED = "pinv-tuned"
 """pinv with the settings that did best on validation episodes of a development seed."""
@@ -32,11 +34,21 @@ TUNED = "pinv-tuned"
 
 @dataclass(frozen=True)
 class Cell:
-    """One point to evaluate: a method under a protocol at (H, s, d)."""
+    """One point to evaluate: a method under a protocol at (H, s, d).
+
+    `action_noise` replaces the task's own in the worlds of this cell; None leaves it.
+    """
 
     method: Method
     protocol: str
     geometry: ChunkGeometry
+    action_noise: float | None = None
+
+    def scene(self, own: Scene) -> Scene:
+        """Return the scene to evaluate in, from the task's own."""
+        if self.action_noise is None:
+            return own
+        return dataclasses.replace(own, action_noise=self.action_noise)
 
 
 @dataclass(frozen=True)
@@ -81,8 +93,8 @@ def _with_guidance(method: Method, config: EvalConfig) -> Method:
 def cells_of(config: EvalConfig, horizon: int, methods: Sequence[Method]) -> tuple[Cell, ...]:
     """Return all cells of an evaluation; every one is checked before any is run.
 
-    Beside `oracle`, `naive` is evaluated without delay too, open loop: that is what the losses
-    under delay are measured from.
+    Cells of one action noise follow each other. Beside `oracle`, `naive` is evaluated without delay
+    too, open loop: that is what the losses under delay are measured from.
     """
     from rtc_cli.execution.protocols import OPEN_LOOP, open_loop_cells, protocol_cells
 
@@ -99,7 +111,8 @@ def cells_of(config: EvalConfig, horizon: int, methods: Sequence[Method]) -> tup
     if naive and "oracle" in config.methods:
         every = [geometry for own in geometries.values() for geometry in own]
         cells += [Cell(naive[0], OPEN_LOOP, geometry) for geometry in open_loop_cells(every)]
-    return tuple(cells)
+    noises = config.action_noise or (None,)
+    return tuple(dataclasses.replace(cell, action_noise=n) for n in noises for cell in cells)
 
 
 def target_of(
@@ -129,22 +142,26 @@ def evaluate(target: Target, cells: Sequence[Cell], progress: Progress) -> None:
 
     store = ResultStore(target.store)
     checkpoints = _Checkpoints(target)
-    scene = get_task(target.task)
     missing = [cell for cell in cells if not _is_present(store, checkpoints, cell)]
-    if not missing:
-        return
-    with WorldBatch(scene, min(SLOTS, target.episodes)) as worlds:
-        for index, cell in enumerate(missing):
-            done = index * target.episodes
-            note = (
-                f"{cell.method.name}, d = {cell.geometry.delay}, s = {cell.geometry.exec_horizon}"
-            )
+    numbered = enumerate(missing)
+    for _, group in itertools.groupby(numbered, key=lambda pair: pair[1].action_noise):
+        alike = list(group)
+        scene = alike[0][1].scene(checkpoints.scene)
+        with WorldBatch(scene, min(SLOTS, target.episodes)) as worlds:
+            for index, cell in alike:
+                done = index * target.episodes
 
-            def on_episode(ended: int, _: int, done: int = done, note: str = note) -> None:
-                progress(done + ended, len(missing) * target.episodes, note)
+                def on_episode(ended: int, _: int, done: int = done, cell: Cell = cell) -> None:
+                    progress(done + ended, len(missing) * target.episodes, _note(cell))
 
-            on_episode(0, 0)
-            _evaluate_cell(store, checkpoints, cell, worlds, on_episode)
+                on_episode(0, 0)
+                _evaluate_cell(store, checkpoints, cell, worlds, on_episode)
+
+
+def _note(cell: Cell) -> str:
+    noise = "" if cell.action_noise is None else f", noise {cell.action_noise:g}"
+    geometry = cell.geometry
+    return f"{cell.method.name}, d = {geometry.delay}, s = {geometry.exec_horizon}{noise}"
 
 
 class _Checkpoints:
@@ -192,7 +209,7 @@ class _Checkpoints:
         return cell_key(
             policy=self.get(cell.method.checkpoint)[1],
             task=short_name(target.task),
-            scene=self.scene.digest,
+            scene=cell.scene(self.scene).digest,
             sampler=cell.method.sampler,
             settings=method_sampler(cell.method).settings,
             horizon=geometry.horizon,
@@ -226,7 +243,7 @@ def _evaluate_cell(
     if rows is None:
         first = target.first_episode
         rows = evaluate_cell(
-            checkpoints.scene,
+            cell.scene(checkpoints.scene),
             policy,
             cell.method,
             cell.geometry,

@@ -78,7 +78,7 @@ def collect_data(folder: Path, task: str, train_seed: int, progress: Progress) -
 
     collect(
         get_task(task),
-        mixture_actor(mixture(run, task), seed=train_seed),
+        mixture_actor(mixture(run, task), seed=train_seed, policy_std=run.recipe.data.policy_std),
         run.recipe.data.transitions,
         first_episode=first_data_episode(train_seed),
         seed=train_seed,
@@ -112,7 +112,10 @@ def measure_diversity(folder: Path, task: str, train_seed: int, progress: Progre
 
 
 def mixture(run: Run, task: str) -> list[ExpertPolicy]:
-    """Return the experts that are good enough to make data; StateError where none is."""
+    """Return the experts that make data: the good ones, or the first by seed (`data.experts`).
+
+    StateError where there are none, or fewer than the recipe asks for.
+    """
     from rtc_cli.experts.policy import ExpertPolicy
 
     config = run.recipe.experts
@@ -128,7 +131,15 @@ def mixture(run: Run, task: str) -> list[ExpertPolicy]:
             f"of its episodes, experts.min_success is {config.min_success}",
             "add experts.seeds, raise experts.max_steps or lower experts.min_success",
         )
-    return [ExpertPolicy.load(run.experts(task) / str(seed)) for seed in good]
+    wanted = run.recipe.data.experts
+    if wanted is not None and len(good) < wanted:
+        raise StateError(
+            f"task {task} has {len(good)} experts that succeed in at least {config.min_success} "
+            f"of their episodes; data.experts is {wanted}",
+            "add experts.seeds, or lower data.experts or experts.min_success",
+        )
+    acting = good if wanted is None else sorted(good)[:wanted]
+    return [ExpertPolicy.load(run.experts(task) / str(seed)) for seed in acting]
 
 
 def train_policy(folder: Path, task: str, train_seed: int, kind: str, progress: Progress) -> None:

@@ -6,7 +6,6 @@ from typing import Any
 
 import pandas as pd
 
-from rtc_cli.levels import task_label
 from rtc_cli.report import figures
 from rtc_cli.report.document import (
     Block,
@@ -199,7 +198,7 @@ def _success_blocks(results: Results, protocol: str) -> list[Block]:
         blocks.append(Note("No cell was evaluated on every task yet, so there is no mean."))
     if len(results.tasks) > 1:
         tables = [
-            as_table(success_grid(_named_methods(rows), task=task), f"Task: {task_label(task)}")
+            as_table(success_grid(_named_methods(rows), task=task), f"Task: {task}")
             for task in results.tasks
         ]
         blocks.append(Fold("The same for each task", tables))
@@ -220,7 +219,7 @@ def _beyond(rows: Sequence[Row]) -> str:
 
 def _mean_of(results: Results) -> str:
     if len(results.tasks) == 1:
-        return f"task {task_label(results.tasks[0])}"
+        return f"task {results.tasks[0]}"
     return f"mean of {len(results.tasks)} tasks with equal weights"
 
 
@@ -291,7 +290,7 @@ def _difference_blocks(results: Results, protocol: str) -> list[Block]:
     )
     if len(results.tasks) > 1:
         tables = [
-            as_table(differences_grid(rows, protocol, task=task), f"Task: {task_label(task)}")
+            as_table(differences_grid(rows, protocol, task=task), f"Task: {task}")
             for task in results.tasks
         ]
         blocks.append(Fold("The same for each task", tables))
@@ -318,10 +317,7 @@ def tolerance(results: Results) -> Section:
         )
         blocks.append(as_table(d90_grid(mine), caption))
         if len(results.tasks) > 1:
-            tables = [
-                as_table(d90_grid(d90, task=task), f"Task: {task_label(task)}")
-                for task in results.tasks
-            ]
+            tables = [as_table(d90_grid(d90, task=task), f"Task: {task}") for task in results.tasks]
             blocks.append(Fold("D90 for each task", tables))
     else:
         blocks.append(
@@ -491,6 +487,7 @@ def experts(run: RunInputs) -> Section:
     if not run.experts:
         return Section("experts", title, [Note("No expert records in this run.")])
     least = float(run.recipe.get("experts", {}).get("min_success", 0.65))
+    acting = _acting(run, least)
     lines = [
         [
             str(record["task"]),
@@ -498,17 +495,37 @@ def experts(run: RunInputs) -> Section:
             points(float(record["success"])),
             f"{int(record['steps']):,}" if record.get("steps") is not None else "-",
             _short(record.get("seconds")),
-            "yes" if float(record["success"]) >= least else "no",
+            "yes" if (record["task"], record["seed"]) in acting else "no",
         ]
         for record in sorted(run.experts, key=lambda record: (record["task"], record["seed"]))
     ]
     text = (
         "Experts are trained with reinforcement learning; a random one of them acts in each "
-        f"episode of the data. Those below {points(least)}% success are left out."
+        f"episode of the data. Those below {points(least)}% success are left out"
     )
+    count = _data_setting(run, "experts")
+    text += "." if count is None else f", and so are all but the first {count} by seed."
+    std = _data_setting(run, "policy_std")
+    if std is not None and std != 1:
+        text += f" They act with {std:g} times their own standard deviation."
     columns = ["task", "seed", "success (%)", "steps", "seconds", "in the data"]
     blocks: list[Block] = [Paragraph(text), Table(columns, lines)]
     return Section("experts", title, blocks + _diversity(run))
+
+
+def _acting(run: RunInputs, least: float) -> set[tuple[str, int]]:
+    """Return (task, seed) of the experts that made the data."""
+    good = [(r["task"], r["seed"]) for r in run.experts if float(r["success"]) >= least]
+    count = _data_setting(run, "experts")
+    return {
+        pair
+        for task in {task for task, _ in good}
+        for pair in sorted(pair for pair in good if pair[0] == task)[:count]
+    }
+
+
+def _data_setting(run: RunInputs, name: str) -> Any:
+    return run.recipe.get("data", {}).get(name)
 
 
 def _diversity(run: RunInputs) -> list[Block]:

@@ -9,7 +9,16 @@ import pandas as pd
 from rtc_cli.errors import StateError
 
 # One episode of one cell; two rows that agree here are the same measurement.
-IDENTITY = ("task", "method", "train_seed", "delay", "exec_horizon", "flow_steps", "episode")
+IDENTITY = (
+    "task",
+    "method",
+    "train_seed",
+    "delay",
+    "exec_horizon",
+    "flow_steps",
+    "action_noise",
+    "episode",
+)
 METRICS = (
     "length",
     "time_to_success_s",
@@ -46,6 +55,7 @@ def prepare(episodes: pd.DataFrame) -> pd.DataFrame:
     if episodes.empty:
         raise StateError("there are no evaluated episodes", "run `rtc eval` first")
     rows = _label_settings(episodes.assign(method=episodes["method"].replace(_SAME_AS)))
+    rows = _label_noise(rows)
     protocols = sorted(rows["protocol"].astype(str).unique(), key=_protocol_order)
     _refuse_mixed(rows)
     rows = rows.drop_duplicates(list(IDENTITY))
@@ -69,6 +79,19 @@ def _label_settings(episodes: pd.DataFrame) -> pd.DataFrame:
     }
     names = [labels[key] for key in zip(rows["method"], rows["settings"], strict=True)]
     return rows.assign(method=names)
+
+
+def _label_noise(rows: pd.DataFrame) -> pd.DataFrame:
+    """Tell apart what was evaluated under several world noises, as if each were a method."""
+    if rows.groupby("task")["action_noise"].nunique().max() < 2:
+        return rows
+    return rows.assign(method=rows["method"] + " (noise " + rows["action_noise"].map(str) + ")")
+
+
+def noise_label(method: str) -> str:
+    """Return the part of a method's name that tells its world noise; "" where there is none."""
+    found = re.search(r" \(noise [^()]*\)$", method)
+    return found[0] if found else ""
 
 
 def _label(method: str, settings: str) -> str:

@@ -18,6 +18,7 @@ from rtc_cli.report.selection import (
     METRICS,
     in_protocol,
     method_order,
+    noise_label,
     prepare,
     protocols_of,
 )
@@ -158,9 +159,14 @@ def main_flow_steps(episodes: pd.DataFrame) -> int:
 def pairs_among(
     methods: Iterable[str], pairs: Iterable[tuple[str, str]] = DEFAULT_PAIRS
 ) -> list[tuple[str, str]]:
-    """Return the pairs (method, baseline) whose two methods were evaluated."""
-    present = set(methods)
-    return [(method, baseline) for method, baseline in pairs if {method, baseline} <= present]
+    """Return the pairs (method, baseline) whose two methods were evaluated, at the same noise."""
+    present, pairs = set(methods), list(pairs)
+    labelled = [
+        (method + label, baseline + label)
+        for label in sorted({noise_label(method) for method in present})
+        for method, baseline in pairs
+    ]
+    return [pair for pair in labelled if present.issuperset(pair)]
 
 
 def differences(

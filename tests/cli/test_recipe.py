@@ -152,6 +152,10 @@ def test_recipes_are_frozen():
         ("tasks=a,a", ["once"]),
         ("experts.min_success=0.9", ["min_success 0.9", "target_success 0.8"]),
         ("name=a/b", ["name"]),
+        ("data.experts=3", ["data.experts 3", "2 of experts.seeds"]),
+        ("data.policy_std=-1", ["data.policy_std = -1", "0"]),
+        ("eval.action_noise=0.1,-0.1", ["eval.action_noise", "-0.1"]),
+        ("eval.action_noise=0.1,0.1", ["eval.action_noise", "once"]),
     ],
 )
 def test_bad_values_are_named(override, words):

@@ -332,6 +332,18 @@ def test_noise_is_a_function_of_episode_and_tick() -> None:
         assert (draw(other, episodes, ticks, shape=(8, 2)) != noise).all()
 
 
+def test_rows_tell_the_noise_of_their_worlds(scene: Scene, policy: Policy) -> None:
+    naive = get_method("naive")
+    calm, own = (
+        evaluate(replace(scene, action_noise=noise), policy, naive, 2, 2, range(12))
+        for noise in (0.0, scene.action_noise)
+    )
+    assert set(calm["action_noise"]) == {0.0}
+    assert set(own["action_noise"]) == {scene.action_noise}
+    assert not set(calm["scene"]) & set(own["scene"])
+    assert (calm["action_delta"] != own["action_delta"]).any()
+
+
 def test_one_program_serves_all_cells(scene: Scene, policy: Policy, worlds: WorldBatch) -> None:
     evaluate(scene, policy, get_method("prefix"), 2, 1, range(3), worlds=worlds)
     compiled = infer._cache_size()

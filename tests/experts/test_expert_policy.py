@@ -115,6 +115,26 @@ def test_noise_is_fresh_at_every_tick_and_in_every_episode():
     assert abs(np.corrcoef(along, across)[0, 1]) < 0.25
 
 
+def test_policy_std_scales_the_spread_before_the_squashing():
+    expert = make_expert()
+    obs, episode, tick = rows(300)
+    low, high = np.asarray(expert.action_low), np.asarray(expert.action_high)
+
+    def before_squashing(std):
+        actions = mixture_actor([expert], seed=2, policy_std=std)(obs, episode, tick)
+        return np.arctanh(((actions - low) / (high - low) * 2 - 1).astype(np.float64))
+
+    mean = np.asarray(expert.act(jnp.asarray(obs), jnp.zeros((300, 2))))
+    still = mixture_actor([expert], seed=2, policy_std=0.0)(obs, episode, tick)
+    np.testing.assert_allclose(still, mean, atol=1e-6)
+    # Rows near a bound lose their digits in arctanh.
+    inside = (np.abs(before_squashing(1.0)) < 3).all(1)
+    assert inside.sum() > 100
+    whole = (before_squashing(1.0) - before_squashing(0.0))[inside]
+    half = (before_squashing(0.5) - before_squashing(0.0))[inside]
+    np.testing.assert_allclose(half, 0.5 * whole, atol=1e-3)
+
+
 def test_mixtures_that_make_no_sense_are_refused():
     with pytest.raises(UsageError, match="at least one"):
         mixture_actor([], 0)

@@ -60,12 +60,14 @@ def cell(
     settings: str = "{}",
     first_episode: int = 0,
     policy: str | None = None,
+    action_noise: float = 0.1,
 ) -> pd.DataFrame:
     """One cell with given outcomes; the other metrics are made up from the outcome."""
     n = len(solved)
     outcome = np.asarray(solved, bool)
     checkpoint, sampler, schedule = triple
     where = f"{checkpoint}{sampler}{settings}{schedule}{task}{seed}{delay}{exec_horizon}{n}"
+    where += f"noise{action_noise}"
     columns: dict[str, Any] = {
         "task": task,
         "method": method,
@@ -78,6 +80,7 @@ def cell(
         "delay": delay,
         "exec_horizon": exec_horizon,
         "flow_steps": 5,
+        "action_noise": action_noise,
         "episode": np.arange(first_episode, first_episode + n),
         "status": np.where(outcome, 1, 2),
         "solved": outcome,

@@ -254,3 +254,32 @@ def test_grids_have_one_cell_per_column(episodes: pd.DataFrame) -> None:
     ):
         assert grid.rows
         assert {len(row) for row in grid.rows} == {len(grid.columns)} == {4}
+
+
+# -- world noise -----------------------------------------------------------------------------
+
+
+def test_noises_are_shown_apart_and_compared_within(synthetic: ModuleType) -> None:
+    outcomes = {("naive", 0.0): 6, ("prefix", 0.0): 7, ("naive", 0.2): 1, ("prefix", 0.2): 5}
+    frames = [
+        synthetic.cell(
+            method,
+            "catcher",
+            0,
+            "paper",
+            2,
+            2,
+            [True] * solved + [False] * (8 - solved),
+            triple=synthetic.METHODS[method],
+            action_noise=noise,
+        )
+        for (method, noise), solved in outcomes.items()
+    ]
+    rows = pd.concat(frames, ignore_index=True)
+    found = {row["method"]: row["solved"] for row in pick(summarise(rows), task="catcher")}
+    assert found == {f"{method} (noise {noise})": n for (method, noise), n in outcomes.items()}
+    gaps = {row["method"]: row["difference"] for row in pick(differences(rows), task="catcher")}
+    assert gaps == pytest.approx({"prefix (noise 0.0)": 1 / 8, "prefix (noise 0.2)": 4 / 8})
+    # One noise needs no label.
+    calm = rows[rows["action_noise"] == 0.0]
+    assert {row["method"] for row in summarise(calm)} == {"naive", "prefix"}
