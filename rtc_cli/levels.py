@@ -14,6 +14,7 @@ from pathlib import Path
 from rtc_cli.errors import UsageError
 
 PREFIX = "kinetix:"
+SHORT_PREFIX = "kinetix-"
 SUFFIX = ".json"
 
 
@@ -32,7 +33,23 @@ def short_name(task: str) -> str:
     if not is_level(task):
         return task
     stem = level_path(task).name.removesuffix(SUFFIX)
-    return "kinetix-" + re.sub(r"[^A-Za-z0-9_-]+", "_", stem)
+    return SHORT_PREFIX + re.sub(r"[^A-Za-z0-9_-]+", "_", stem)
+
+
+def task_label(task: str) -> str:
+    """What tables and figures call a task: levels are marked as a port."""
+    name = short_name(task)
+    return f"{name} (pymunk port)" if name.startswith(SHORT_PREFIX) else name
+
+
+def port_note(tasks: Iterable[str]) -> str:
+    """The sentence that goes with results on levels; "" where no task is one."""
+    if not any(short_name(task).startswith(SHORT_PREFIX) for task in tasks):
+        return ""
+    return (
+        "Tasks named kinetix-... are Kinetix levels in a pymunk port: their results are not "
+        "comparable with published values."
+    )
 
 
 def expand(tasks: Iterable[str]) -> tuple[str, ...]:

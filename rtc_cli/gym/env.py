@@ -52,6 +52,7 @@ class TaskEnv(gymnasium.Env[FloatArray, FloatArray]):
         self._worlds = WorldBatch(self.scene, 1)
         self._status = Status.TIMEOUT
         self._seed = -1
+        self._action: FloatArray | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -60,7 +61,7 @@ class TaskEnv(gymnasium.Env[FloatArray, FloatArray]):
         super().reset(seed=seed)
         self._seed = draw_seed(self.np_random) if seed is None else seed
         self._obs = self._worlds.reset([self._seed])[0]
-        self._action: FloatArray | None = None
+        self._action = None
         self._status = Status.RUNNING
         return self._obs.copy(), self._info()
 

@@ -8,6 +8,7 @@ import pandas as pd
 
 from rtc_cli.errors import StateError
 from rtc_cli.files import write_bytes, write_json, write_text
+from rtc_cli.levels import task_label
 from rtc_cli.report import figures, sections
 from rtc_cli.report.document import (
     Block,
@@ -205,7 +206,9 @@ def _ablation_section(table: list[Row], gaps: list[Row], baseline: str, protocol
     ]
     if len(tasks) > 1:
         tables = [
-            sections.as_table(success_grid(rows, series="variant", task=task), f"Task: {task}")
+            sections.as_table(
+                success_grid(rows, series="variant", task=task), f"Task: {task_label(task)}"
+            )
             for task in tasks
         ]
         blocks.append(Fold("The same for each task", tables))

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from rtc_cli.levels import task_label
 from rtc_cli.report.selection import fits_protocol, method_order
 from rtc_cli.report.tables import ALL, Row, pick
 from rtc_cli.report.text import difference_interval_text, interval, points
@@ -191,8 +192,12 @@ def render_summary(
         mine = pick(rows, protocol=protocol)
         for steps in sorted({row["flow_steps"] for row in mine}):
             tasks = sorted({row["task"] for row in mine} - {ALL})
-            what = f"mean of {len(tasks)} tasks" if task == ALL and len(tasks) > 1 else task
-            what = tasks[0] if what == ALL else what
+            what = (
+                f"mean of {len(tasks)} tasks"
+                if task == ALL and len(tasks) > 1
+                else task_label(task)
+            )
+            what = task_label(tasks[0]) if what == ALL else what
             title = f"Episodes solved (%), {what}, protocol {protocol}, {steps} flow steps"
             caption = "below: 95% Wilson interval, for these checkpoints"
             grid = success_grid(pick(mine, flow_steps=steps), series=series, task=task)

@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 
+from rtc_cli.levels import task_label
 from rtc_cli.report import figures
 from rtc_cli.report.document import (
     Block,
@@ -198,7 +199,7 @@ def _success_blocks(results: Results, protocol: str) -> list[Block]:
         blocks.append(Note("No cell was evaluated on every task yet, so there is no mean."))
     if len(results.tasks) > 1:
         tables = [
-            as_table(success_grid(_named_methods(rows), task=task), f"Task: {task}")
+            as_table(success_grid(_named_methods(rows), task=task), f"Task: {task_label(task)}")
             for task in results.tasks
         ]
         blocks.append(Fold("The same for each task", tables))
@@ -219,7 +220,7 @@ def _beyond(rows: Sequence[Row]) -> str:
 
 def _mean_of(results: Results) -> str:
     if len(results.tasks) == 1:
-        return f"task {results.tasks[0]}"
+        return f"task {task_label(results.tasks[0])}"
     return f"mean of {len(results.tasks)} tasks with equal weights"
 
 
@@ -290,7 +291,7 @@ def _difference_blocks(results: Results, protocol: str) -> list[Block]:
     )
     if len(results.tasks) > 1:
         tables = [
-            as_table(differences_grid(rows, protocol, task=task), f"Task: {task}")
+            as_table(differences_grid(rows, protocol, task=task), f"Task: {task_label(task)}")
             for task in results.tasks
         ]
         blocks.append(Fold("The same for each task", tables))
@@ -317,7 +318,10 @@ def tolerance(results: Results) -> Section:
         )
         blocks.append(as_table(d90_grid(mine), caption))
         if len(results.tasks) > 1:
-            tables = [as_table(d90_grid(d90, task=task), f"Task: {task}") for task in results.tasks]
+            tables = [
+                as_table(d90_grid(d90, task=task), f"Task: {task_label(task)}")
+                for task in results.tasks
+            ]
             blocks.append(Fold("D90 for each task", tables))
     else:
         blocks.append(

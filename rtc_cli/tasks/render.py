@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from rtc_cli.files import write_bytes
+from rtc_cli.levels import task_label
 from rtc_cli.tasks.drawing import (
     BACKGROUND,
     FAINT,
@@ -163,7 +164,8 @@ def _heading(scene: Scene, traces: Sequence[Trace], width: int) -> Image.Image:
     image = Image.new("RGB", (width, 84 if chunked else 62), WHITE)
     draw = ImageDraw.Draw(image)
     captions = "  |  ".join(trace.caption for trace in traces)
-    draw.text((4, 8), f"{scene.name}: {captions}" if captions else scene.name, INK, font(17))
+    name = task_label(scene.name)
+    draw.text((4, 8), f"{name}: {captions}" if captions else name, INK, font(17))
     x = 4.0
     for role, name in ROLE_NAMES.items():
         x = _entry(draw, x, 36, (ROLE_COLORS[role],), name)
