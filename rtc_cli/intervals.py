@@ -1,4 +1,4 @@
-"""Intervals and differences: what a number of episodes and training seeds can tell.
+"""Intervals, differences and their ratios: what a number of episodes and training seeds can tell.
 
 A Wilson interval describes *one checkpoint*. A comparison of methods is over a *fixed* set of
 tasks with equal weights; its unit of replication is the training seed. With one seed only,
@@ -103,6 +103,80 @@ def paired_by_episode(
     variance = sum(values.var(ddof=1) / values.size for values in strata)
     half = _normal_quantile(confidence) * float(np.sqrt(variance)) / len(strata)
     return Interval(estimate, estimate - half, estimate + half)
+
+
+def ratio_by_seed(parts: ArrayLike, wholes: ArrayLike, confidence: float = 0.95) -> Interval:
+    """Ratio of two mean paired differences over a fixed set of tasks, replicated over seeds.
+
+    Args:
+        parts: (G, R) numerators on task k with training seed r, or (R,) for one task.
+        wholes: the denominators, of the same shape and from the same episodes.
+        confidence: coverage of the interval.
+
+    The ratio of the means over tasks, with Fieller's interval: variances and covariance are those
+    of ``paired_by_seed``, on G (R - 1) degrees of freedom. The interval is finite exactly where
+    ``paired_by_seed(wholes)`` excludes 0; elsewhere, and for R = 1, the ends are NaN.
+    Source: E. C. Fieller, J. R. Statist. Soc. B 16 (1954) 175-185.
+    """
+    part = np.atleast_2d(np.asarray(parts, dtype=np.float64))
+    whole = np.atleast_2d(np.asarray(wholes, dtype=np.float64))
+    if part.ndim != 2 or part.size == 0 or part.shape != whole.shape:
+        raise UsageError(
+            f"parts of shape {part.shape}, wholes of shape {whole.shape}: must be (tasks, seeds), "
+            "equal and not empty"
+        )
+    tasks, seeds = part.shape
+    if seeds == 1:
+        return Interval(_quotient(part.mean(), whole.mean()), np.nan, np.nan)
+    covariances = [np.cov(p, w) / seeds for p, w in zip(part, whole, strict=True)]
+    t = float(stats.t.ppf(0.5 + confidence / 2, tasks * (seeds - 1)))
+    return _fieller(part.mean(), whole.mean(), np.sum(covariances, axis=0) / tasks**2, t)
+
+
+def ratio_by_episode(
+    parts: Sequence[ArrayLike], wholes: Sequence[ArrayLike], confidence: float = 0.95
+) -> Interval:
+    """Ratio of two mean paired differences for these checkpoints, stratified by task.
+
+    Args:
+        parts: one array per task with the numerators of its n_k episodes.
+        wholes: the denominators of the same episodes.
+        confidence: coverage of the interval.
+
+    Fieller's interval with the variances of ``paired_by_episode`` and a normal quantile. NaN ends
+    where ``paired_by_episode(wholes)`` does not exclude 0 or a task has fewer than 2 episodes.
+    """
+    pairs = [
+        np.stack([np.asarray(p, dtype=np.float64).ravel(), np.asarray(w, dtype=np.float64).ravel()])
+        for p, w in zip(parts, wholes, strict=True)
+    ]
+    if not pairs or any(pair.shape[1] == 0 for pair in pairs):
+        raise UsageError("ratio_by_episode needs one non-empty array of differences per task")
+    part, whole = np.mean([pair.mean(axis=1) for pair in pairs], axis=0)
+    if min(pair.shape[1] for pair in pairs) < 2:
+        return Interval(_quotient(part, whole), np.nan, np.nan)
+    covariances = [np.cov(pair) / pair.shape[1] for pair in pairs]
+    spread = np.sum(covariances, axis=0) / len(pairs) ** 2
+    return _fieller(part, whole, spread, _normal_quantile(confidence))
+
+
+def _quotient(part: float, whole: float) -> float:
+    return float(part / whole) if whole else np.nan
+
+
+def _fieller(
+    part: float, whole: float, covariance: NDArray[np.floating], quantile: float
+) -> Interval:
+    """Solve ``(part - r whole)² <= q² var(part - r whole)`` for the ratio r."""
+    estimate = _quotient(part, whole)
+    scaled = quantile**2 * covariance
+    lead = whole**2 - scaled[1, 1]
+    if lead <= 0:
+        return Interval(estimate, np.nan, np.nan)
+    middle = part * whole - scaled[0, 1]
+    # Not negative where lead > 0, but for rounding.
+    root = np.sqrt(max(middle**2 - lead * (part**2 - scaled[0, 0]), 0.0))
+    return Interval(estimate, float((middle - root) / lead), float((middle + root) / lead))
 
 
 def d90(

@@ -14,6 +14,8 @@ from rtc_cli.intervals import (
     equivalent,
     paired_by_episode,
     paired_by_seed,
+    ratio_by_episode,
+    ratio_by_seed,
     wilson,
 )
 
@@ -105,6 +107,80 @@ def test_paired_by_episode_covers_for_these_checkpoints() -> None:
         got = paired_by_episode(both[..., 0].astype(float) - both[..., 1])
         hits += got.low <= 0.15 <= got.high
     assert 0.93 <= hits / 1000 <= 0.97
+
+
+def seed_differences(
+    rng: np.random.Generator, tasks: int, seeds: int, whole: float, share: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Numerators and denominators whose means have the ratio `share`; they share a baseline."""
+    means = np.linspace(0.4, 1.6, tasks)[:, None] * whole
+    spreads = np.linspace(0.02, 0.05, tasks)[:, None]
+    baseline, top, own = spreads * rng.normal(size=(3, tasks, seeds))
+    return share * means + own - baseline, means + top - baseline
+
+
+def test_a_ratio_by_hand() -> None:
+    # One task, two seeds: n = 2, d = 4, var/R = 0.01, 0.04, cov/R = 0.02 (d = 2 n exactly), so
+    # every seed has the ratio 1/2 and the interval is that point.
+    got = ratio_by_seed([1.9, 2.1], [3.8, 4.2])
+    assert got == pytest.approx((0.5, 0.5, 0.5), abs=1e-9)
+    # Denominators without spread: the interval of the numerator, divided.
+    part = paired_by_seed([0.1, 0.2, 0.4])
+    ratio = ratio_by_seed([0.1, 0.2, 0.4], [0.5] * 3)
+    assert ratio == pytest.approx([end / 0.5 for end in part])
+
+
+@given(st.integers(0, 10_000), st.floats(-0.2, 0.2))
+def test_the_ratio_has_ends_exactly_where_the_denominator_excludes_zero(
+    seed: int, whole: float
+) -> None:
+    parts, wholes = seed_differences(np.random.default_rng(seed), 3, 4, whole, 0.5)
+    denominator = paired_by_seed(wholes)
+    ratio = ratio_by_seed(parts, wholes)
+    excludes = denominator.low > 0 or denominator.high < 0
+    assert np.isfinite([ratio.low, ratio.high]).all() == excludes
+    if excludes:
+        assert ratio.low <= ratio.estimate <= ratio.high
+        # Its ends are the ratios r for which 0 is just inside the interval of part - r whole.
+        for end in (ratio.low, ratio.high):
+            edge = paired_by_seed(parts - end * wholes)
+            assert min(abs(edge.low), abs(edge.high)) == pytest.approx(0, abs=1e-6 * (1 + end**2))
+
+
+@pytest.mark.parametrize(("tasks", "seeds", "whole"), [(12, 3, 0.2), (3, 5, 0.2), (1, 3, 0.3)])
+def test_the_ratio_covers(tasks: int, seeds: int, whole: float) -> None:
+    rng = np.random.default_rng(2)
+    hits = []
+    for _ in range(1500):
+        got = ratio_by_seed(*seed_differences(rng, tasks, seeds, whole, 0.7))
+        if np.isfinite(got.low):
+            hits.append(got.low <= 0.7 <= got.high)
+    assert len(hits) > 1000
+    assert 0.935 <= np.mean(hits) <= 0.97
+
+
+def test_the_ratio_covers_for_these_checkpoints() -> None:
+    """Two tasks of 200 paired episodes: naive .5, oracle .8, a method that recovers two thirds."""
+    rng = np.random.default_rng(3)
+    hits = []
+    for _ in range(1500):
+        shared = rng.random((2, 200, 1)) < 0.5  # half of the episodes have one luck for all three
+        draws = np.where(shared, rng.random((2, 200, 1)), rng.random((2, 200, 3)))
+        naive, method, oracle = np.moveaxis(draws < [0.5, 0.7, 0.8], 2, 0).astype(float)
+        got = ratio_by_episode(list(method - naive), list(oracle - naive))
+        hits.append(got.low <= 2 / 3 <= got.high)
+    assert 0.935 <= np.mean(hits) <= 0.97
+
+
+def test_a_ratio_without_replication_has_no_interval() -> None:
+    assert ratio_by_seed([[0.1], [0.3]], [[0.4], [0.4]]).estimate == pytest.approx(0.5)
+    assert np.isnan(ratio_by_seed([[0.1], [0.3]], [[0.4], [0.4]]).low)
+    assert np.isnan(ratio_by_episode([[1.0]], [[1.0]]).low)
+    assert np.isnan(ratio_by_seed([0.1, 0.2], [0.0, 0.0]).estimate)
+    with pytest.raises(UsageError, match="equal and not empty"):
+        ratio_by_seed([0.1, 0.2], [0.1])
+    with pytest.raises(UsageError):
+        ratio_by_episode([], [])
 
 
 def test_d90() -> None:

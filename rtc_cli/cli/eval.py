@@ -82,6 +82,7 @@ def evaluate(
     from rtc_cli.cli.evaluated import evaluation_document, evaluation_tables, selected_episodes
     from rtc_cli.pipeline.checks import check_evaluation
     from rtc_cli.pipeline.plan import eval_plan
+    from rtc_cli.report.sections import compute
     from rtc_cli.runs import newest_run, open_run
 
     with output(as_json) as out:
@@ -107,8 +108,8 @@ def evaluate(
         with opened.lock():
             jobs = eval_plan(opened, config, chosen_tasks, chosen_seeds)
             run_jobs(opened, jobs, workers)
-        rows = selected_episodes(opened, config, chosen_tasks, chosen_seeds)
-        out.result(evaluation_document(opened, rows), *evaluation_tables(rows))
+        results = compute(selected_episodes(opened, config, chosen_tasks, chosen_seeds))
+        out.result(evaluation_document(opened, results), *evaluation_tables(results))
 
 
 def _changed(

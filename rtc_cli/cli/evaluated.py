@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     import pandas as pd
     from rich.console import RenderableType
 
+    from rtc_cli.report.sections import Results
+
+SINGLY = 4
+"""More tasks than this share one table in the terminal."""
+
 
 def selected_episodes(
     run: Run, config: EvalConfig, tasks: tuple[str, ...], seeds: tuple[int, ...]
@@ -63,39 +68,41 @@ def _noise_asked(rows: pd.DataFrame, config: EvalConfig, tasks: tuple[str, ...])
     return rows["action_noise"] == rows["task"].map(own)
 
 
-def evaluation_document(run: Run, rows: pd.DataFrame) -> dict[str, Any]:
-    """Return the JSON document: rows, differences, D90 and the matrix."""
-    from rtc_cli.report.sections import compute
+def evaluation_document(run: Run, results: Results) -> dict[str, Any]:
+    """Return the JSON document: rows, differences, the decomposition, D90 and the matrix."""
     from rtc_cli.results import machine_record
 
-    results = compute(rows)
     return document(
         str(run.folder),
         machine_record(),
         results.summary,
         differences=results.differences,
+        **results.losses,
         d90=results.d90,
         matrix=results.matrix,
     )
 
 
-def evaluation_tables(rows: pd.DataFrame) -> list[RenderableType]:
-    """Return the tables for people: success, paired differences, D90, the matrix."""
+def evaluation_tables(results: Results) -> list[RenderableType]:
+    """Return the tables for people: success, differences, losses, D90, the matrix."""
     from rtc_cli.report import render
-    from rtc_cli.report.sections import compute
+    from rtc_cli.report.loss_grids import render_losses
+    from rtc_cli.report.loss_text import main_protocol
     from rtc_cli.report.tables import ALL
 
-    results = compute(rows)
     tables: list[RenderableType] = []
-    several = len(results.tasks) > 1
-    for task in [*results.tasks, ALL] if several else results.tasks:
+    several, many = len(results.tasks) > 1, len(results.tasks) > SINGLY
+    singly = [] if many else results.tasks
+    for task in [*singly, ALL] if several else singly:
         tables.extend(render.render_summary(results.summary, task=task))
+    if many:
+        protocol = main_protocol(results.summary)
+        tables.append(render.render_by_task(results.summary, protocol))
     for protocol in results.protocols:
         if results.differences and protocol != "grid":
             task = ALL if several else results.tasks[0]
             tables.append(render.render_differences(results.differences, protocol, task=task))
         if results.matrix and protocol != "grid":
             tables.append(render.render_matrix(results.matrix, protocol))
-    if results.d90:
-        tables.append(render.render_d90(results.d90))
-    return tables
+    tables.extend(render_losses(results.losses))
+    return [*tables, *render.render_d90(results.d90)]

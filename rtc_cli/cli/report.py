@@ -17,6 +17,7 @@ def report(run: RunOption = None, as_json: JsonOption = False) -> None:
     The report lies in the run's folder `report/`, with its figures and all rows unrounded. What
     the run does not hold yet (a profile, more training seeds) is said in the report.
     """
+    from rtc_cli.report.loss_grids import render_losses
     from rtc_cli.report.page import build_report
     from rtc_cli.report.render import render_report
     from rtc_cli.runs import newest_run, open_run
@@ -28,5 +29,6 @@ def report(run: RunOption = None, as_json: JsonOption = False) -> None:
         out.result(
             built.data | {"report": str(built.html), "markdown": str(built.markdown)},
             *render_report(built.data),
+            *render_losses(built.data),
             f"report: {built.html}\n        {built.markdown}",
         )

@@ -42,6 +42,7 @@ def run(
     from rtc_cli.cli.evaluated import evaluation_document, evaluation_tables, selected_episodes
     from rtc_cli.pipeline.plan import profile_plan, run_plan
     from rtc_cli.report.page import build_report
+    from rtc_cli.report.sections import compute
 
     with output(as_json) as out:
         changes = set_with_tasks(set_, tasks)
@@ -51,9 +52,11 @@ def run(
             run_alone(profile_plan(opened))
             page = build_report(opened.folder).html
         recipe_ = opened.recipe
-        rows = selected_episodes(opened, recipe_.eval, recipe_.tasks, recipe_.train.seeds)
+        results = compute(
+            selected_episodes(opened, recipe_.eval, recipe_.tasks, recipe_.train.seeds)
+        )
         out.result(
-            evaluation_document(opened, rows) | {"report": str(page)},
-            *evaluation_tables(rows),
+            evaluation_document(opened, results) | {"report": str(page)},
+            *evaluation_tables(results),
             f"report: {page}",
         )

@@ -11,6 +11,7 @@ from rtc_cli.report.selection import fits_protocol, method_order
 from rtc_cli.report.style import (
     INK,
     MUTED,
+    OLD_CHUNK,
     PAPER,
     Look,
     looks,
@@ -51,11 +52,8 @@ def success_figure(
         1 + lines, columns, height_ratios=[3.6, *([2.0] * lines)] if lines else [1]
     )
     main = figure.add_subplot(grid[0, :])
-    title = (
-        f"Mean of {len(tasks)} tasks"
-        if small
-        else f"Task: {task_label(tasks[0]) if tasks else '-'}"
-    )
+    only = task_label(tasks[0]) if tasks else "-"
+    title = f"Mean of {len(tasks)} tasks" if small else f"Task: {only}"
     style = looks(names)
     _success_panel(main, pick(rows, task=ALL), names, style, series)
     tidy(main, title=title, x=DELAY_AXIS, y=SUCCESS_AXIS)
@@ -65,6 +63,15 @@ def success_figure(
         _success_panel(axes, pick(rows, task=task), names, style, series)
         tidy(axes, title=task_label(task).replace(" (", "\n("))
     return figure
+
+
+def success_panel(axes: "Axes", rows: Sequence[Row], title: str = "") -> None:
+    """Draw success against delay in one panel, one line per method, named at its right end."""
+    names = _series_order(rows, "method")
+    style = looks(names)
+    _success_panel(axes, rows, names, style, "method")
+    tidy(axes, title=title, x=DELAY_AXIS, y=SUCCESS_AXIS)
+    _label_lines(axes, rows, names, style, "method")
 
 
 def _series_order(rows: Sequence[Row], series: str) -> list[str]:
@@ -203,7 +210,7 @@ def timeline_figure(horizon: int = 8, exec_horizon: int = 4, delay: int = 2) -> 
     )
     old, new, following = 1, 2, 3
     style = dict(
-        zip((old, new, following), looks(["sync", "pinv", "prefix"]).values(), strict=True)
+        zip((old, new, following), (OLD_CHUNK, *looks(["pinv", "prefix"]).values()), strict=True)
     )
     figure = new_figure(7.4, 3.9)
     axes = figure.subplots()

@@ -16,7 +16,7 @@ from rtc_cli.report.document import (
     Picture,
     Table,
 )
-from rtc_cli.report.style import CSS_VARIABLES, LOOKS, svg
+from rtc_cli.report.style import CSS_VARIABLES, FILLS, LOOKS, svg
 
 
 def render_html(document: Document) -> str:
@@ -98,6 +98,7 @@ def _inline(text: str) -> str:
 
 def _style() -> str:
     places = {look.colour: look.dark for look in LOOKS}
+    places |= {fill.colour: fill.dark for fill in FILLS.values()}
     dark = {"--ink": "#e6e8eb", "--muted": "#a3abb5", "--rule": "#353b43", "--paper": "#16191d"}
     light_lines = "".join(f"{name}:{colour};" for colour, name in CSS_VARIABLES.items())
     dark_lines = "".join(

@@ -1,4 +1,4 @@
-"""Builds the report of a run: report.md with PNG figures, index.html, rows.json."""
+"""Builds the report of a run: report.md with PNG figures, index.html, rows.json, CSV tables."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,7 @@ import pandas as pd
 from rtc_cli.errors import StateError
 from rtc_cli.files import write_bytes, write_json, write_text
 from rtc_cli.levels import task_label
-from rtc_cli.report import figures, sections
+from rtc_cli.report import figures, loss_sections, sections
 from rtc_cli.report.document import (
     Block,
     Code,
@@ -22,6 +22,12 @@ from rtc_cli.report.document import (
 )
 from rtc_cli.report.html import render_html
 from rtc_cli.report.inputs import RunInputs, load_run
+from rtc_cli.report.loss_text import (
+    control_alarms,
+    loss_answer,
+    main_protocol,
+    trend_sentences,
+)
 from rtc_cli.report.markdown import render_markdown
 from rtc_cli.report.render import differences_grid, success_grid
 from rtc_cli.report.selection import fits_protocol
@@ -38,6 +44,17 @@ from rtc_cli.report.text import (
 from rtc_cli.results import machine_record
 
 REPORT = "report"
+# Keys of the JSON document that are also written as CSV, and the names of the files.
+TABLES = {
+    "rows": "success",
+    "differences": "differences",
+    "decomposition": "decomposition",
+    "recovered": "recovered",
+    "classes": "classes",
+    "controls": "controls",
+    "d90": "d90",
+}
+CSV_DIGITS = 5
 
 
 @dataclass(frozen=True)
@@ -48,6 +65,7 @@ class ReportPaths:
     html: Path
     rows: Path
     figures: tuple[Path, ...]
+    tables: tuple[Path, ...]
     data: dict[str, Any]
 
 
@@ -66,14 +84,16 @@ def build_report(run_folder: Path | str) -> ReportPaths:
         title=f"Real-time chunking under delay: {run.name}",
         subtitle=_subtitle(run),
         question=QUESTION,
-        answer=answer(results.summary, results.differences, results.falls),
+        answer=_answer(results),
         sections=[
+            *loss_sections.glance(results),
             sections.how_to_read(run, results),
             sections.success(results),
             sections.paired_differences(results),
+            loss_sections.losses(results),
             sections.tolerance(results),
             sections.matrix(results),
-            sections.smoothness(results),
+            sections.smoothness(results, loss_sections.seam(results)),
             sections.profile(run),
             sections.training(run),
             sections.experts(run),
@@ -85,6 +105,16 @@ def build_report(run_folder: Path | str) -> ReportPaths:
     return _write(run, document, results_json(run, results))
 
 
+def _answer(results: sections.Results) -> list[str]:
+    protocol = main_protocol(results.summary)
+    return [
+        *control_alarms(results.controls),
+        *answer(results.summary, results.differences, results.falls),
+        *loss_answer(results.decomposition, results.recovered, results.classes),
+        *trend_sentences(results.differences, results.classes, protocol),
+    ]
+
+
 def results_json(run: RunInputs, results: sections.Results) -> dict[str, Any]:
     """Return all rows of a report as one JSON document (schema 1)."""
     return {
@@ -93,6 +123,7 @@ def results_json(run: RunInputs, results: sections.Results) -> dict[str, Any]:
         "machine": machine_record(),
         "rows": results.every_summary,
         "differences": results.every_difference,
+        **results.losses,
         "d90": results.d90,
         "matrix": results.matrix,
         "naive_fall": results.falls,
@@ -128,7 +159,19 @@ def _write(
     write_text(markdown, render_markdown(document))
     write_text(html, render_html(document))
     write_json(rows, data)
-    return ReportPaths(markdown, html, rows, tuple(images), data)
+    return ReportPaths(markdown, html, rows, tuple(images), _write_tables(folder, data), data)
+
+
+def _write_tables(folder: Path, data: dict[str, Any]) -> tuple[Path, ...]:
+    """Write the rows of each kind that has some as CSV, rounded, for spreadsheets and diffs."""
+    written = []
+    for key, name in TABLES.items():
+        if data.get(key):
+            table = pd.DataFrame(data[key]).round(CSV_DIGITS)
+            path = folder / "tables" / f"{name}.csv"
+            write_text(path, table.to_csv(index=False))
+            written.append(path)
+    return tuple(written)
 
 
 # -- ablation --------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Rows as tables for people: text grids (shared by Markdown and HTML) and rich tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -106,6 +106,19 @@ def d90_grid(rows: Sequence[Row], *, task: str = ALL) -> Grid:
     return Grid(["method", "s", "D90 (steps)", "D90 (ms)", "success needed"], lines)
 
 
+def task_by_method_grid(rows: Sequence[Row], value: Callable[[Row], str]) -> Grid:
+    """Return one line per task (`all` last, as "mean") and one column per method."""
+    methods = method_order(list(dict.fromkeys(row["method"] for row in rows)))
+    tasks = sorted({row["task"] for row in rows} - {ALL})
+    names = [*tasks, ALL] if len(tasks) > 1 and pick(rows, task=ALL) else tasks
+    lines = []
+    for task in names:
+        found = [pick(rows, task=task, method=method) for method in methods]
+        cells = [value(match[0]) if match else "-" for match in found]
+        lines.append(["mean" if task == ALL else task_label(task), *cells])
+    return Grid(["task", *methods], lines)
+
+
 def matrix_grid(rows: Sequence[Row], protocol: str) -> Grid:
     """Return the matrix {base, prefix} x {plain, pinv, prefix}, one line per combination."""
     mine = pick(rows, protocol=protocol)
@@ -123,15 +136,16 @@ def matrix_grid(rows: Sequence[Row], protocol: str) -> Grid:
 
 
 METRIC_TITLES = {
-    "length": "length (steps)",
-    "time_to_success_s": "time to success (s)",
-    "throughput_per_min": "solved per minute",
     "seam_jump": "seam jump",
     "seam_gap": "seam gap",
     "prefix_error": "prefix error",
+    "measured_reaction_ticks": "reaction, measured (steps)",
+    "reaction_ticks": "reaction, possible (steps)",
     "action_delta": "mean |Δa|",
     "action_delta2": "mean |Δ²a|",
-    "reaction_ticks": "reaction (steps)",
+    "length": "length (steps)",
+    "time_to_success_s": "time to success (s)",
+    "throughput_per_min": "solved per minute",
     "starved_ticks": "starved ticks",
     "late_chunks": "late chunks",
     "waiting_ticks": "waiting ticks",
@@ -174,7 +188,7 @@ def rich_table(grid: Grid, title: str = "", caption: str = "") -> "Table":
         cells = []
         for place, cell in enumerate(row):
             bold = "**" in cell
-            text = cell.replace("**", "")
+            text = cell.replace("**", "").replace(" (pymunk", "\n(pymunk")
             if place >= grid.left:
                 text = text.replace(" (", "\n(").replace("\n(", "\n").replace(" to ", "…")
                 text = text.rstrip(")")
@@ -192,12 +206,8 @@ def render_summary(
         mine = pick(rows, protocol=protocol)
         for steps in sorted({row["flow_steps"] for row in mine}):
             tasks = sorted({row["task"] for row in mine} - {ALL})
-            what = (
-                f"mean of {len(tasks)} tasks"
-                if task == ALL and len(tasks) > 1
-                else task_label(task)
-            )
-            what = task_label(tasks[0]) if what == ALL else what
+            what = f"mean of {len(tasks)} tasks" if task == ALL and len(tasks) > 1 else task
+            what = task_label(tasks[0] if what == ALL else what)
             title = f"Episodes solved (%), {what}, protocol {protocol}, {steps} flow steps"
             caption = "below: 95% Wilson interval, for these checkpoints"
             grid = success_grid(pick(mine, flow_steps=steps), series=series, task=task)
@@ -214,9 +224,26 @@ def render_differences(rows: Sequence[Row], protocol: str, *, task: str = ALL) -
     )
 
 
-def render_d90(rows: Sequence[Row]) -> "Table":
-    """Return the rich table of delay tolerances."""
-    return rich_table(d90_grid(rows), "Delay tolerance D90 at fixed s")
+def render_d90(rows: Sequence[Row]) -> "list[Table]":
+    """Return the rich tables of delay tolerances: the mean, and tasks by methods."""
+    if not rows:
+        return []
+    tables = [rich_table(d90_grid(rows), "Delay tolerance D90 at fixed s")]
+    for protocol in dict.fromkeys(row["protocol"] for row in rows):
+        mine = pick(rows, protocol=protocol)
+        if protocol != "grid" and len({row["task"] for row in mine} - {ALL}) > 1:
+            title = f"D90 per task (control steps), protocol {protocol}"
+            tables.append(rich_table(task_by_method_grid(mine, d90_text), title))
+    return tables
+
+
+def render_by_task(rows: Sequence[Row], protocol: str) -> "Table":
+    """Return the rich table of success at the largest delay: tasks by methods."""
+    mine = pick(rows, protocol=protocol, train_seed=ALL)
+    last = max((row["delay"], row["exec_horizon"]) for row in mine)
+    cell = pick(mine, delay=last[0], exec_horizon=last[1])
+    title = f"Episodes solved (%) at d = {last[0]}, s = {last[1]}"
+    return rich_table(task_by_method_grid(cell, lambda row: points(row["success"])), title)
 
 
 def render_matrix(rows: Sequence[Row], protocol: str) -> "Table":
@@ -237,7 +264,7 @@ def render_report(data: Mapping[str, Any]) -> "list[Table]":
         if any(row["task"] == ALL and fits_protocol(row, protocol) for row in gaps):
             tables.append(render_differences(gaps, protocol))
     d90 = [row for row in data.get("d90", []) if "+" not in row["method"]]
-    return [*tables, render_d90(d90)] if d90 else tables
+    return [*tables, *render_d90(d90)]
 
 
 def render_ablation(data: Mapping[str, Any]) -> "list[Table]":

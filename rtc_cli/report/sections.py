@@ -21,13 +21,22 @@ from rtc_cli.report.document import (
     Table,
 )
 from rtc_cli.report.inputs import RunInputs
+from rtc_cli.report.losses import (
+    class_rows,
+    control_rows,
+    decomposition_rows,
+    loss_cells,
+    recovered_rows,
+)
 from rtc_cli.report.render import (
     Grid,
     d90_grid,
+    d90_text,
     differences_grid,
     matrix_grid,
     metrics_grid,
     success_grid,
+    task_by_method_grid,
 )
 from rtc_cli.report.selection import fits_protocol, prepare
 from rtc_cli.report.tables import (
@@ -65,11 +74,25 @@ class Results:
     falls: list[Row]
     d90: list[Row]
     matrix: list[Row]
+    decomposition: list[Row]
+    recovered: list[Row]
+    classes: list[Row]
+    controls: list[Row]
     cells: list[Row]
     every_summary: list[Row]
     every_difference: list[Row]
     flow_steps: int
     all_flow_steps: tuple[int, ...]
+
+    @property
+    def losses(self) -> dict[str, list[Row]]:
+        """The rows of the loss decomposition, by their keys in the JSON document."""
+        return {
+            "decomposition": self.decomposition,
+            "recovered": self.recovered,
+            "classes": self.classes,
+            "controls": self.controls,
+        }
 
     @property
     def protocols(self) -> list[str]:
@@ -89,21 +112,28 @@ class Results:
 
 def compute(episodes: pd.DataFrame, *, control_hz: float = CONTROL_HZ) -> Results:
     """Compute every row of the report from the episodes of a run."""
-    prepared = prepare(episodes)
-    steps = main_flow_steps(prepared)
-    every_summary, every_difference = summarise(episodes), differences(episodes)
+    rows, with_reference = prepare(episodes), prepare(episodes, reference=True)
+    steps = main_flow_steps(rows)
+    every_summary, every_difference = summarise(rows), differences(rows)
     summary = pick(every_summary, flow_steps=steps)
+    matched = [cell for cell in loss_cells(with_reference) if cell.flow_steps == steps]
+    decomposition = decomposition_rows(matched)
+    classes = class_rows(decomposition)
     return Results(
         summary=summary,
         differences=pick(every_difference, flow_steps=steps),
-        falls=naive_fall_rows(episodes),
+        falls=naive_fall_rows(rows),
         d90=d90_rows(summary, control_hz=control_hz),
         matrix=matrix_rows(summary),
-        cells=cell_keys(prepared),
+        decomposition=decomposition,
+        recovered=recovered_rows(matched),
+        classes=classes,
+        controls=control_rows(rows, classes),
+        cells=cell_keys(with_reference),
         every_summary=every_summary,
         every_difference=every_difference,
         flow_steps=steps,
-        all_flow_steps=tuple(sorted(int(value) for value in prepared["flow_steps"].unique())),
+        all_flow_steps=tuple(sorted(int(value) for value in rows["flow_steps"].unique())),
     )
 
 
@@ -180,7 +210,7 @@ def _success_blocks(results: Results, protocol: str) -> list[Block]:
     rows = pick(results.summary, protocol=protocol)
     name = f"success-{protocol.replace(':', '-')}"
     label = f"Success against delay for each method, {protocol}"
-    blocks: list[Block] = [Paragraph(f"**{_capital(protocol_text(protocol))}.**")]
+    blocks: list[Block] = [Paragraph(f"**{capital(protocol_text(protocol))}.**")]
     if protocol != "grid":  # several s per delay do not make one line
         blocks.append(
             Picture(
@@ -226,10 +256,11 @@ def _mean_of(results: Results) -> str:
 
 def _scope(results: Results) -> str:
     seeds = len(results.seeds)
-    return f"{_capital(_mean_of(results))}, {seeds} training seed{'s' if seeds > 1 else ''}."
+    return f"{capital(_mean_of(results))}, {seeds} training seed{'s' if seeds > 1 else ''}."
 
 
-def _capital(text: str) -> str:
+def capital(text: str) -> str:
+    """Return a text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
@@ -271,7 +302,7 @@ def _difference_blocks(results: Results, protocol: str) -> list[Block]:
     rows = [row for row in results.differences if fits_protocol(row, protocol)]
     if not pick(rows, task=ALL):
         return [Note(f"There is no difference over all tasks for protocol `{protocol}` yet.")]
-    blocks: list[Block] = [Paragraph(f"**{_capital(protocol_text(protocol))}.**")]
+    blocks: list[Block] = [Paragraph(f"**{capital(protocol_text(protocol))}.**")]
     if protocol != "grid":
         blocks.append(
             Picture(
@@ -318,11 +349,7 @@ def tolerance(results: Results) -> Section:
         )
         blocks.append(as_table(d90_grid(mine), caption))
         if len(results.tasks) > 1:
-            tables = [
-                as_table(d90_grid(d90, task=task), f"Task: {task_label(task)}")
-                for task in results.tasks
-            ]
-            blocks.append(Fold("D90 for each task", tables))
+            blocks.append(Fold("D90 for each task", _d90_tables(d90)))
     else:
         blocks.append(
             Note(
@@ -333,10 +360,22 @@ def tolerance(results: Results) -> Section:
     return Section("tolerance", "How much delay is tolerated", blocks)
 
 
+def _d90_tables(rows: Sequence[Row]) -> list[Table]:
+    """One table per fixed s: tasks by methods."""
+    cells = dict.fromkeys((row["protocol"], row["exec_horizon"]) for row in rows)
+    return [
+        as_table(
+            task_by_method_grid(pick(rows, protocol=protocol, exec_horizon=s), d90_text),
+            f"Control steps, {protocol}, s = {s}.",
+        )
+        for protocol, s in cells
+    ]
+
+
 def _fall_table(falls: Sequence[Row]) -> Table:
     lines = [
         [
-            row["task"],
+            task_label(row["task"]),
             row["protocol"],
             points(row["success_at_zero"]),
             f"{points(row['success_at_delay'])} at d={row['delay']}",
@@ -366,35 +405,39 @@ def matrix(results: Results) -> Section:
     ]
     for protocol in dict.fromkeys(row["protocol"] for row in results.matrix):
         grid = matrix_grid(results.matrix, protocol)
-        blocks.append(as_table(grid, f"{_capital(protocol_text(protocol))}. {caption}"))
+        blocks.append(as_table(grid, f"{capital(protocol_text(protocol))}. {caption}"))
     return Section("matrix", title, blocks)
 
 
-def smoothness(results: Results) -> Section:
-    """Show the other metrics at the largest delay of the first protocol."""
-    protocol = results.protocols[0]
-    rows = _named_methods(pick(results.summary, protocol=protocol))
-    delays = sorted({row["delay"] for row in pick(rows, task=ALL)})
-    if not delays:
-        return Section("smoothness", "Smoothness", [Note("No cell covers every task yet.")])
-    tables: list[Block] = [
-        as_table(metrics_grid(rows, delay), f"Means over episodes at d = {delay}.")
-        for delay in delays
-    ]
+def smoothness(results: Results, more: Sequence[Block] = ()) -> Section:
+    """Show seams, reactions and the other metrics at the largest delay of each protocol."""
     meaning = (
         "`seam jump`: the action change at a hand-over, relative to other steps (1 = no seam). "
         "`seam gap`: distance between new and old chunk at the hand-over. `prefix error`: distance "
-        "between the new chunk and the actions already committed. `-`: not defined there."
+        "between the new chunk and the actions already committed. `reaction, measured`: from a "
+        "push until the executed actions differ from an undisturbed twin's; `possible`: the "
+        "earliest that this timing allows. `-`: not defined there."
     )
-    return Section(
-        "smoothness",
-        "Smoothness",
-        [
-            Paragraph(meaning),
-            tables[-1],
-            *([Fold("The same at the other delays", tables[:-1])] if tables[:-1] else []),
-        ],
-    )
+    blocks: list[Block] = [Paragraph(meaning), *more]
+    for protocol in results.protocols:
+        blocks.extend(_metric_blocks(results, protocol))
+    return Section("smoothness", "Smoothness and reaction", blocks)
+
+
+def _metric_blocks(results: Results, protocol: str) -> list[Block]:
+    rows = _named_methods(pick(results.summary, protocol=protocol))
+    delays = sorted({row["delay"] for row in pick(rows, task=ALL)})
+    if not delays:
+        return [Note(f"No cell of protocol `{protocol}` covers every task yet.")]
+    tables: list[Block] = [
+        as_table(
+            metrics_grid(rows, delay),
+            f"Means over episodes, protocol `{protocol}`, d = {delay}.",
+        )
+        for delay in delays
+    ]
+    others = f"The same at the other delays, protocol `{protocol}`"
+    return [tables[-1], *([Fold(others, tables[:-1])] if tables[:-1] else [])]
 
 
 # -- cost, training, experts -----------------------------------------------------------------
@@ -459,7 +502,7 @@ def training(run: RunInputs) -> Section:
     )  # fmt: skip
     lines = [
         [
-            str(curve["task"]),
+            task_label(str(curve["task"])),
             str(curve.get("train_seed", "-")),
             str(curve.get("checkpoint", "-")),
             str(len(curve["epochs"])),
@@ -494,7 +537,7 @@ def experts(run: RunInputs) -> Section:
     acting = _acting(run, least)
     lines = [
         [
-            str(record["task"]),
+            task_label(str(record["task"])),
             str(record["seed"]),
             points(float(record["success"])),
             f"{int(record['steps']):,}" if record.get("steps") is not None else "-",

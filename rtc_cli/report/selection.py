@@ -32,31 +32,40 @@ METRICS = (
     "late_chunks",
     "waiting_ticks",
     "reaction_ticks",
+    "measured_reaction_ticks",
 )
+# Label of cells that exist only for the loss decomposition: naive at d = 0 for every s.
+OPEN_LOOP = "open-loop"
 _NEEDED = (*IDENTITY, "checkpoint", "sampler", "schedule", "protocol", "solved")
 # Matrix cells that are a named method: the same measurement, shown under one name.
 _SAME_AS = {"base+plain": "naive", "base+pinv": "pinv", "prefix+prefix": "prefix"}
-METHOD_ORDER = ("sync", "naive", "pinv", "pinv-tuned", "pinv-detached", "prefix")
+METHOD_ORDER = ("sync", "naive", "pinv", "pinv-tuned", "pinv-detached", "prefix", "oracle")
 
 
-def prepare(episodes: pd.DataFrame) -> pd.DataFrame:
+def prepare(episodes: pd.DataFrame, *, reference: bool = False) -> pd.DataFrame:
     """Return one row per measured episode, with unambiguous method names.
 
     A cell that belongs to two protocols may be stored twice; it counts once here. The column
-    `protocols` of the result's `attrs` keeps the protocols that were asked for. Raises StateError
-    where columns are missing, or where rows of two different policies would be mixed.
+    `protocols` of the result's `attrs` keeps the protocols that were asked for. Rows labelled
+    `open-loop` are reference data: left out unless `reference`, and never a protocol. Rows that
+    were prepared before are returned as they are. Raises StateError where columns are missing, or
+    where rows of two policies would be mixed.
     """
+    if "protocols" in episodes.attrs:
+        return episodes
     missing = [name for name in _NEEDED if name not in episodes.columns]
     if missing:
         raise StateError(
             f"the episode rows lack the columns {', '.join(missing)}",
             "evaluate again with this version of rtc",
         )
+    if not reference:
+        episodes = episodes[episodes["protocol"] != OPEN_LOOP]
     if episodes.empty:
         raise StateError("there are no evaluated episodes", "run `rtc eval` first")
     rows = _label_settings(episodes.assign(method=episodes["method"].replace(_SAME_AS)))
     rows = _label_noise(rows)
-    protocols = sorted(rows["protocol"].astype(str).unique(), key=_protocol_order)
+    protocols = sorted(set(rows["protocol"].astype(str)) - {OPEN_LOOP}, key=_protocol_order)
     _refuse_mixed(rows)
     rows = rows.drop_duplicates(list(IDENTITY))
     rows = rows.assign(solved=rows["solved"].astype(bool)).reset_index(drop=True)
@@ -140,6 +149,12 @@ def in_protocol(rows: pd.DataFrame, protocol: str) -> pd.DataFrame:
     if protocol == "grid":
         return rows
     return rows[rows["protocol"] == protocol]
+
+
+def fixed_protocols(protocols: Sequence[str]) -> list[str]:
+    """Return the protocols with one s for all delays; s = 4, the usual one, first."""
+    fixed = [name for name in protocols if name.startswith("fixed:")]
+    return sorted(fixed, key=lambda name: (name != "fixed:4", int(name.partition(":")[2])))
 
 
 def fits_protocol(row: dict[str, object], protocol: str) -> bool:

@@ -20,7 +20,7 @@ INK, MUTED, RULE, PAPER = "#1c2024", "#5b636d", "#d8dce1", "#ffffff"
 
 @dataclass(frozen=True)
 class Look:
-    """How one series is drawn: colour on light, colour on dark, marker and line."""
+    """How one series is drawn: colour on light, colour on dark, marker (or none) and line."""
 
     colour: str
     dark: str
@@ -38,14 +38,35 @@ LOOKS = (
     Look("#cc79a7", "#eba6cb", "P", "-."),
     Look("#b07d00", "#e8b53c", "^", "-"),
     Look("#7b5ea7", "#b79ae0", "X", "--"),
+    Look("#878f98", "#929ba5", "", "--"),
 )
+OLD_CHUNK = LOOKS[3]
 _METHOD_LOOKS = {
     "pinv": 0,
     "naive": 1,
     "prefix": 2,
-    "sync": 3,
+    "sync": 6,
     "pinv-tuned": 4,
     "pinv-detached": 5,
+    "oracle": 8,  # a reference, not a contestant
+}
+
+
+@dataclass(frozen=True)
+class Fill:
+    """How a part of a stacked bar is drawn: colour on light, on dark, and of the text on it."""
+
+    colour: str
+    dark: str
+    text: str
+
+
+FILLS = {
+    "success": Fill("#2e7d5f", "#5fc79d", PAPER),
+    "avoidable": Fill("#c4630f", "#ff9d52", PAPER),
+    "irreducible": Fill("#6f5a9a", "#b7a2e0", PAPER),
+    "open_loop_cost": Fill("#4f6577", "#9fb4c6", PAPER),
+    "rest": Fill("#e9ecef", "#2a3037", INK),
 }
 CSS_VARIABLES = {
     INK: "--ink",
@@ -53,13 +74,14 @@ CSS_VARIABLES = {
     RULE: "--rule",
     PAPER: "--paper",
     **{look.colour: f"--c{place}" for place, look in enumerate(LOOKS)},
+    **{fill.colour: f"--f{place}" for place, fill in enumerate(FILLS.values())},
 }
 
 
 def looks(names: Sequence[str]) -> dict[str, Look]:
     """Return the look of each series: fixed for known methods, others take what is left."""
     known = {name: _METHOD_LOOKS[name] for name in names if name in _METHOD_LOOKS}
-    free = [place for place in (6, 7, 5, 4, 3, 1, 0, 2) if place not in known.values()]
+    free = [place for place in (7, 3, 5, 4, 6, 1, 0, 2) if place not in known.values()]
     others = [name for name in names if name not in known]
     places = known | {name: free[i % len(free)] for i, name in enumerate(others)}
     return {name: LOOKS[places[name]] for name in names}

@@ -6,11 +6,12 @@ derived rows carry a few more, which say what the interval describes.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from rtc_cli.errors import StateError, did_you_mean
 from rtc_cli.intervals import d90, paired_by_episode, paired_by_seed, wilson
@@ -105,7 +106,7 @@ def _task_row(cell: Mapping[Any, Any], protocol: str, metrics: list[str]) -> Row
         "success_low": float(low),
         "success_high": float(high),
         "beyond_trained": bool(cell.get("beyond_trained", False)),
-        **{name: _number(cell[name]) for name in metrics},
+        **{name: number(cell[name]) for name in metrics},
         "settings": str(cell["settings"]),
     }
 
@@ -138,9 +139,10 @@ def _row_order(row: Row, tasks: Sequence[str]) -> tuple[Any, ...]:
     return task, row["flow_steps"], place, row["method"], seed, row["delay"], row["exec_horizon"]
 
 
-def _number(value: object) -> float | None:
-    number = float(value) if value is not None else math.nan  # type: ignore[arg-type]
-    return number if math.isfinite(number) else None
+def number(value: object) -> float | None:
+    """Return a finite float, or None."""
+    found = float(value) if value is not None else math.nan  # type: ignore[arg-type]
+    return found if math.isfinite(found) else None
 
 
 def pick(rows: Iterable[Row], **wanted: object) -> list[Row]:
@@ -227,27 +229,34 @@ def estimate_gap(cell: pd.DataFrame, tasks: Sequence[str]) -> Row | None:
     `cell` holds matched episodes of one cell: columns task, train_seed, gap. Returns the keys
     difference, low, high, seeds, interval; None where the tasks share no training seed.
     """
-    seeds = sorted(
-        set.intersection(*(set(cell.loc[cell["task"] == t, "train_seed"]) for t in tasks))
-    )
-    if not seeds:
+    means = cell.groupby(["task", "train_seed"])["gap"].mean().unstack("train_seed")
+    means = means.reindex(tasks).dropna(axis="columns")
+
+    def strata() -> list[NDArray[np.float64]]:
+        mine = cell[cell["train_seed"] == means.columns[0]]
+        return [mine.loc[mine["task"] == task, "gap"].to_numpy(float) for task in tasks]
+
+    return estimate(means.to_numpy(), strata)
+
+
+def estimate(
+    means: NDArray[np.float64], strata: Callable[[], Sequence[NDArray[np.float64]]]
+) -> Row | None:
+    """Estimate a mean paired difference from its (tasks, shared seeds) means.
+
+    With one seed the interval comes from `strata`, the differences of each task's episodes. Returns
+    the keys of `estimate_gap`; None without a shared seed.
+    """
+    seeds = means.shape[1]
+    if seeds == 0:
         return None
-    if len(seeds) == 1:
-        gaps = [
-            cell.loc[(cell["task"] == t) & (cell["train_seed"] == seeds[0]), "gap"].to_numpy(float)
-            for t in tasks
-        ]
-        difference, low, high = paired_by_episode(gaps)
-    else:
-        means = cell.groupby(["task", "train_seed"])["gap"].mean()
-        table = np.array([[means[(task, seed)] for seed in seeds] for task in tasks])
-        difference, low, high = paired_by_seed(table)
+    found = paired_by_seed(means) if seeds > 1 else paired_by_episode(strata())
     return {
-        "difference": float(difference),
-        "low": _number(low),
-        "high": _number(high),
-        "seeds": len(seeds),
-        "interval": "seeds" if len(seeds) > 1 else "checkpoints",
+        "difference": float(found.estimate),
+        "low": number(found.low),
+        "high": number(found.high),
+        "seeds": seeds,
+        "interval": "seeds" if seeds > 1 else "checkpoints",
     }
 
 

@@ -43,6 +43,20 @@ GLOSSARY = (
         "training-time real-time chunking (arXiv 2512.05964): the policy was trained to take the "
         "actions that will be executed meanwhile as an input.",
     ),
+    (
+        "oracle",
+        "a reference, not a bound: the base policy is shown the state d steps ahead, predicted "
+        "without noise, so that its chunk fits the moment at which it is used.",
+    ),
+    (
+        "open-loop, irreducible, avoidable",
+        "the three parts of what delay costs: acting long on one observation; what even the "
+        "oracle loses; and what naive loses beyond that.",
+    ),
+    (
+        "control-limited, information-limited, insensitive",
+        "why delay hurts on a task: mostly avoidable, mostly irreducible, or not at all.",
+    ),
     ("sync", "the robot stands still while the chunk is computed."),
     (
         "base, prefix (policy)",
@@ -61,6 +75,10 @@ GLOSSARY = (
     ("seam jump", "size of the action change at a hand-over, relative to other steps (1 = equal)."),
     ("seam gap", "distance of the new chunk from the old one where the new one takes over."),
     ("prefix error", "distance of the new chunk from the actions already committed."),
+    (
+        "measured reaction",
+        "control steps from a push until the executed actions differ from an undisturbed twin's.",
+    ),
     ("training seed", "one complete repetition of data collection and training."),
 )
 

@@ -4,6 +4,7 @@ from the probabilities of `success_probability`, which look roughly like an eval
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,9 @@ _LOSS = {
     "base+prefix": 0.04,
     "sync": 0.004,
 }
+
+
+_SEAM = {"naive": 0.4, "pinv": 0.2, "pinv-tuned": 0.12, "prefix": 0.06, "oracle": 0.5}
 
 
 def success_probability(method: str, task: str, delay: int, seed: int) -> float:
@@ -87,7 +91,7 @@ def cell(
         "length": 40 + (np.arange(n) % 30),
         "time_to_success_s": np.where(outcome, (40 + np.arange(n) % 30) / 30.0, np.nan),
         "throughput_per_min": np.where(outcome, 40.0, 0.0),
-        "seam_jump": np.nan if exec_horizon == 1 else 1.0 + 0.2 * delay,
+        "seam_jump": np.nan if exec_horizon == 1 else 1.0 + _SEAM.get(method, 0.2) * delay,
         "seam_gap": np.nan if exec_horizon + delay >= 8 else 0.1 + 0.05 * delay,
         "prefix_error": np.nan if delay == 0 or sampler == "prefix" else 0.08 * delay,
         "action_delta": 0.21,
@@ -96,7 +100,7 @@ def cell(
         "late_chunks": 0,
         "waiting_ticks": delay * 7 if schedule == "sync" else 0,
         "reaction_ticks": delay + (exec_horizon - 1) / 2,
-        "measured_reaction_ticks": delay + (exec_horizon - 1) / 2 + 0.5,
+        "measured_reaction_ticks": 1.1 * delay + exec_horizon / 2 + (sampler == "pinv"),
         "beyond_trained": False,
         "cell": hashlib.sha256(where.encode()).hexdigest()[:20],
         "policy": policy or hashlib.sha256(f"{checkpoint}{task}{seed}".encode()).hexdigest()[:16],
@@ -146,6 +150,97 @@ def episodes(
                             )
                         )
     return frames
+
+
+# -- a world in which the costs of delay are known -------------------------------------------
+
+LOSS_METHODS = METHODS | {
+    "pinv-tuned": ("base", "pinv", "async"),
+    "oracle": ("base", "plain", "oracle"),
+}
+# Recovered fractions that are the same on every task.
+RECOVERED = {"naive": 0.0, "pinv": 0.4, "pinv-tuned": 0.7, "prefix": 0.8, "oracle": 1.0}
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One task: S(0, 1), the open-loop cost at s = 4, the two other costs at d = 4."""
+
+    closed_loop: float
+    open_loop_cost: float
+    irreducible: float
+    avoidable: float
+
+    def success(self, method: str, delay: int, exec_horizon: int) -> float:
+        """Costs grow linearly: with s - 1 the open-loop cost, with d the others."""
+        start = self.closed_loop - self.open_loop_cost * (exec_horizon - 1) / 3
+        if delay == 0:
+            return start
+        oracle = start - self.irreducible * delay / 4
+        return oracle - (1 - RECOVERED[method]) * self.avoidable * delay / 4
+
+
+WORLD = {
+    "car_launch": Truth(0.96, 0.02, 0.08, 0.32),
+    "cartpole_thrust": Truth(0.98, 0.02, 0.04, 0.40),
+    "catapult": Truth(0.88, 0.02, 0.00, 0.00),
+    "catcher": Truth(0.94, 0.04, 0.08, 0.48),
+    "chain_lander": Truth(0.86, 0.10, 0.32, 0.08),
+    "grasp": Truth(0.84, 0.00, 0.00, 0.00),
+    "half_cheetah": Truth(0.94, 0.02, 0.08, 0.20),
+    "lunar_lander": Truth(0.92, 0.12, 0.12, 0.20),
+    "swimmer": Truth(0.90, 0.02, 0.12, 0.12),
+    "trampoline": Truth(0.94, 0.08, 0.48, 0.04),
+    "unicycle": Truth(0.98, 0.16, -0.04, 0.40),
+    "walker": Truth(0.92, 0.04, 0.00, 0.28),
+}
+
+
+def loss_episodes(
+    world: dict[str, Truth],
+    *,
+    seeds: Iterable[int] = (0, 1, 2),
+    protocols: Sequence[str] = ("paper", "fixed:4"),
+    delays: Sequence[int] = (0, 1, 2, 3, 4),
+    n: int = 100,
+    noise: bool = False,
+) -> list[pd.DataFrame]:
+    """Cells of a world with known costs, the reference cells `open-loop` included.
+
+    Without noise, episode i is solved where i + 1/2 < n times the truth: rates are the truth's to
+    the last digit that n allows. With noise, outcomes are drawn and share luck across cells.
+    """
+    wanted = [
+        (method, protocol, delay, max(delay, 1) if protocol == "paper" else int(protocol[6:]))
+        for method in LOSS_METHODS
+        for protocol in protocols
+        for delay in delays
+    ]
+    horizons = sorted({s for _, _, _, s in wanted} | {1})
+    wanted += [("naive", "open-loop", 0, s) for s in horizons]
+    return [
+        _loss_cell(truth, task, seed, *labels, n=n, noise=noise)
+        for task, truth in world.items()
+        for seed in seeds
+        for labels in wanted
+    ]
+
+
+def _loss_cell(
+    truth: Truth, task: str, seed: int, method: str, protocol: str, delay: int, s: int,
+    *, n: int, noise: bool,
+) -> pd.DataFrame:  # fmt: skip
+    order = (np.arange(n) + 0.5) / n
+    if noise:
+        own = np.random.default_rng([seed, delay, s, *map(ord, task + (method if delay else ""))])
+        luck = np.random.default_rng([seed, *map(ord, task)]).random(n)
+        order = np.where(own.random(n) < 0.5, luck, own.random(n))
+    solved = order < truth.success(method, delay, s)
+    settings = '{"max_guidance_weight": 20.0}' if "tuned" in method else "{}"
+    triple = LOSS_METHODS[method]
+    return cell(
+        method, task, seed, protocol, delay, s, list(solved), triple=triple, settings=settings
+    )
 
 
 def write_run(
