@@ -109,13 +109,13 @@ def _recovered(found: Sequence[Row]) -> str:
     if not found or found[0]["recovered"] is None:
         return "-"
     row = found[0]
-    return f"{100 * row['recovered']:.0f} {_whole(row['recovered_low'], row['recovered_high'])}"
+    return f"{round(100 * row['recovered'])} {_whole(row['recovered_low'], row['recovered_high'])}"
 
 
 def _whole(low: float | None, high: float | None) -> str:
     if low is None or high is None:
         return "(no interval)"
-    return f"({100 * low:.0f} to {100 * high:.0f})"
+    return f"({round(100 * low)} to {round(100 * high)})"
 
 
 def classes_grid(classes: Sequence[Row], protocol: str) -> Grid:
