@@ -207,7 +207,7 @@ def main_figure(
     mean = pick(summary, protocol=protocol, task=ALL, train_seed=ALL)
     mean = [row for row in mean if row["method"] in MAIN_METHODS]
     s = protocol.partition(":")[2]
-    figure = new_figure(12.4, 7.4)
+    figure = new_figure(11.6, 7.2)
     grid = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.12])
     left, right = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
     upper, lower = left.subplots(2, 1, height_ratios=[1.15, 1.0])
