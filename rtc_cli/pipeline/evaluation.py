@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -134,8 +134,17 @@ def target_of(
     )
 
 
-def evaluate(target: Target, cells: Sequence[Cell], progress: Progress) -> None:
-    """Evaluate the cells that are missing, and label those that are there under another name."""
+def evaluate(
+    target: Target,
+    cells: Sequence[Cell],
+    progress: Progress,
+    on_diverged: Callable[[Cell, DivergedError], None] | None = None,
+) -> None:
+    """Evaluate the cells that are missing, and label those that are there under another name.
+
+    A cell in which the policy's chunks become NaN or infinite ends the evaluation with
+    DivergedError, or is handed to `on_diverged` and passed over.
+    """
     from rtc_cli.execution.rollout import SLOTS
     from rtc_cli.results import ResultStore
     from rtc_cli.tasks.batch import WorldBatch
@@ -155,7 +164,12 @@ def evaluate(target: Target, cells: Sequence[Cell], progress: Progress) -> None:
                     progress(done + ended, len(missing) * target.episodes, _note(cell))
 
                 on_episode(0, 0)
-                _evaluate_cell(store, checkpoints, cell, worlds, on_episode)
+                try:
+                    _evaluate_cell(store, checkpoints, cell, worlds, on_episode)
+                except DivergedError as error:
+                    if on_diverged is None:
+                        raise
+                    on_diverged(cell, error)
 
 
 def _note(cell: Cell) -> str:
@@ -307,15 +321,12 @@ def try_settings(target: Target, cells: Sequence[Cell], progress: Progress) -> N
 
     Strong guidance may overflow. That rules the setting out; it is no reason to stop.
     """
+
+    def note(cell: Cell, error: DivergedError) -> None:
+        write_json(_diverged_path(target, cell), {"method": cell.method.name, "why": str(error)})
+
     tried = [cell for cell in cells if not _diverged_path(target, cell).is_file()]
-    for done, cell in enumerate(tried):
-        progress(done, len(tried), cell.method.name)
-        try:
-            evaluate(target, (cell,), lambda *_: None)
-        except DivergedError as error:
-            write_json(
-                _diverged_path(target, cell), {"method": cell.method.name, "why": str(error)}
-            )
+    evaluate(target, tried, progress, on_diverged=note)
 
 
 def _diverged_path(target: Target, cell: Cell) -> Path:
