@@ -27,6 +27,8 @@ PART_NAMES = {
     "open_loop_cost": "open-loop",
     "rest": "not solved at d = 0, s = 1",
 }
+FEWEST = 4
+"""Room is left for this many bars, so that few bars do not grow fat."""
 MAIN_METHODS = ("naive", "pinv", "pinv-tuned", "prefix", "oracle")
 
 
@@ -65,7 +67,7 @@ def segments(row: Row) -> list[Segment]:
 def losses_figure(rows: Sequence[Row], classes: Mapping[str, str], delay: int) -> "Figure":
     """Draw the stacked losses of every task at one delay of one protocol."""
     tasks = {row["task"] for row in rows}
-    figure = new_figure(7.4, 1.5 + 0.36 * len(tasks))
+    figure = new_figure(7.4, 1.5 + 0.36 * max(len(tasks), FEWEST))
     axes = figure.subplots()
     losses_panel(axes, rows, classes, delay)
     _part_legend(figure)
@@ -87,7 +89,7 @@ def losses_panel(
     axes.set_yticks(places, ticks)
     axes.tick_params(axis="y", labelsize=9, labelcolor=INK)
     axes.set_xlim(0, 100)
-    axes.set_ylim(max(places) + 0.6, -0.6)
+    axes.set_ylim(max(*places, FEWEST - 1) + 0.6, -0.6)
     _class_labels(axes, names, places, classes)
 
 

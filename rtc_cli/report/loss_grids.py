@@ -177,10 +177,11 @@ def _render_protocol(
     found = []
     if classes:
         title = f"Where success is lost (points), protocol {protocol}, d = {last}"
-        found.append(rich_table(costs_grid(costs, classes, last), title, ADD_UP))
-    several = pick(costs, task=ALL)
-    task = ALL if several else costs[0]["task"]
-    what = f"mean of {len({row['task'] for row in costs} - {ALL})} tasks" if several else task
+        grid = _class_below(costs_grid(costs, classes, last))
+        found.append(rich_table(grid, title, ADD_UP))
+    tasks = sorted({row["task"] for row in costs} - {ALL})
+    task = ALL if len(tasks) > 1 and pick(costs, task=ALL) else tasks[0]
+    what = f"mean of {len(tasks)} tasks" if task == ALL else task_label(task)
     title = f"Where success is lost (points), {what}, protocol {protocol}"
     found.append(rich_table(costs_by_delay_grid(costs, task=task), title))
     if shares:
@@ -188,3 +189,9 @@ def _render_protocol(
         caption = "-: the avoidable cost cannot be told from 0"
         found.append(rich_table(recovered_by_delay_grid(shares, task=task), title, caption))
     return found
+
+
+def _class_below(grid: Grid) -> Grid:
+    """Write the class below the task's name, so that 80 columns suffice."""
+    rows = [[f"{task}\n{kind}" if kind else task, *rest] for task, kind, *rest in grid.rows]
+    return Grid([grid.columns[0], *grid.columns[2:]], rows)

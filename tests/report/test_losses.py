@@ -305,14 +305,14 @@ def test_sentences_name_the_tasks_against_the_trend(episodes: pd.DataFrame) -> N
     assert "2 insensitive (catapult, grasp)" in answer[1]
 
 
-def test_terminal_tables_fit_100_columns(episodes: pd.DataFrame) -> None:
+def test_terminal_tables_fit_80_columns(episodes: pd.DataFrame) -> None:
     noisy = episodes.assign(task=episodes["task"].replace("grasp", "kinetix-h17_unicycle"))
     results = compute(noisy)
     console = Console(width=400, record=True, file=io.StringIO())
     for table in render_losses(results.losses):
         console.print(table)
     text = console.export_text()
-    assert max(len(line.rstrip()) for line in text.splitlines()) <= 100
+    assert max(len(line.rstrip()) for line in text.splitlines()) <= 80
     assert "kinetix-h17_unicycle" in text
     assert "(pymunk port)" in text
 
