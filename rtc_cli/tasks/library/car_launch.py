@@ -191,8 +191,8 @@ SCENE = Scene(
     jitters=(
         Jitter(
             bodies=("car", "rear_wheel", "front_wheel"),
-            position=(0.3, 0.0),
-            velocity=(0.3, 0.0),
+            position=(0.4, 0.0),
+            velocity=(0.5, 0.0),
         ),
     ),
     bounds=(-3.0, -3.0, _BACK_X + 3.0, 8.0),

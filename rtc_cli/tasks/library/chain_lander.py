@@ -152,8 +152,8 @@ SCENE = Scene(
         ),
     ),
     jitters=(
-        Jitter(bodies=("hull", "link", "load"), position=(0.1, 0.1), velocity=(0.15, 0.15)),
-        Jitter(bodies=("hull",), angle=0.08),
-        Jitter(bodies=("link", "load"), angle=0.15, pivot=(0.0, 0.0)),
+        Jitter(bodies=("hull", "link", "load"), position=(0.2, 0.2), velocity=(0.25, 0.25)),
+        Jitter(bodies=("hull",), angle=0.1),
+        Jitter(bodies=("link", "load"), angle=0.2, pivot=(0.0, 0.0)),
     ),
 )
