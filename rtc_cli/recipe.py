@@ -6,6 +6,7 @@ a UsageError that names the key, the value and the rule. The records here are fr
 
 import hashlib
 import json
+import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -265,14 +266,55 @@ class ProfileConfig(Section):
     rounding: Rounding = "ceil"
 
 
-class AblationConfig(Section):
-    """Training distributions to compare, forked from one shared base checkpoint."""
+# What a grid may vary: experts are shared by its runs, and the evaluation has lists of its own.
+GRID_SECTIONS = ("data", "horizon", "network", "train")
 
-    variants: dict[str, DelayConfig]
-    baseline: str
+Setting = bool | int | float | str
+
+
+def _flat_keys(value: Any) -> Any:
+    """Let `data.experts = [1, 4]` under [ablation.grid] mean what `"data.experts" = ...` does."""
+    if not isinstance(value, dict):
+        return value
+    flat = _flatten(value)
+    return {key: tuple(v) if isinstance(v, list) else v for key, v in flat.items()}
+
+
+class AblationConfig(Section):
+    """What to compare: `variants` of the training delays, or a `grid` of settings.
+
+    Variants are delay distributions, forked from one base checkpoint. A grid has lists of values
+    by dotted key of the recipe; every combination is a run of its own on the same experts.
+    """
+
+    variants: dict[str, DelayConfig] = {}
+    baseline: str | None = None
+    grid: Annotated[
+        dict[str, Annotated[tuple[Setting, ...], Field(min_length=1)]], BeforeValidator(_flat_keys)
+    ] = {}
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if not self.grid:
+            return self._check_variants()
+        if self.variants or self.baseline is not None:
+            given = "variants" if self.variants else "baseline"
+            raise ValueError(f"{given} and grid are two kinds of ablation; give one of them")
+        for key, values in self.grid.items():
+            if key.split(".")[0] not in GRID_SECTIONS or key == "train.seeds":
+                raise ValueError(
+                    f'grid key "{key}" cannot be varied: the runs of a grid share experts, '
+                    f"training seeds and evaluation; allowed are keys of {', '.join(GRID_SECTIONS)}"
+                )
+            if len(set(values)) != len(values):
+                raise ValueError(f'grid key "{key}" has to name each value once')
+        if math.prod(map(len, self.grid.values())) < 2:
+            raise ValueError("the grid has one combination only; there is nothing to compare")
+        return self
+
+    def _check_variants(self) -> Self:
+        if not self.variants:
+            raise ValueError("needs variants or a grid")
         if len(self.variants) < 2:
             raise ValueError(f"needs at least 2 variants, not {len(self.variants)}")
         for name in self.variants:
@@ -282,6 +324,8 @@ class AblationConfig(Section):
                 )
             if name in ("base", "fork"):
                 raise ValueError(f'variant name "{name}" is that of another checkpoint')
+        if self.baseline is None:
+            raise ValueError("needs a baseline, one of its variants")
         if self.baseline not in self.variants:
             nearest = did_you_mean(self.baseline, self.variants)
             raise ValueError(f'baseline "{self.baseline}" is no variant.{nearest}')
@@ -422,6 +466,20 @@ def recipe_from_dict(
         raise _usage_error(error, source, fix) from None
 
 
+def with_settings(recipe: Recipe, settings: Mapping[str, Setting], name: str) -> Recipe:
+    """Return a recipe under another name, without its ablation, with some dotted keys replaced.
+
+    Raises UsageError for a key that does not exist or a value that does not fit there.
+    """
+    content = recipe.model_dump(mode="json", exclude_none=True)
+    content.pop("ablation", None)
+    content |= {"name": name}
+    for key, value in settings.items():
+        _put(content, key, value)
+    source = f"{recipe.name}, ablation.grid at {', '.join(f'{k}={v}' for k, v in settings.items())}"
+    return recipe_from_dict(content, source, "mend [ablation.grid]")
+
+
 def recipe_to_toml(recipe: Recipe) -> str:
     """Return the resolved recipe, defaults written out; reading it back gives an equal recipe."""
     return tomli_w.dumps(recipe.model_dump(mode="json", exclude_none=True))
@@ -497,16 +555,21 @@ def _apply_override(content: dict[str, Any], override: str) -> None:
         raise UsageError(
             f'cannot read the override "{override}"', 'write KEY=VALUE, as in "train.epochs=8"'
         )
-    section = content
+    _put(content, key.strip(), _parse_value(text.strip(), _is_tuple(parts)))
+
+
+def _put(content: dict[str, Any], key: str, value: Any) -> None:
+    """Set the value at a dotted key; sections that are missing appear."""
+    section, parts = content, key.split(".")
     for depth, part in enumerate(parts[:-1], start=1):
         section = section.setdefault(part, {})
         if not isinstance(section, dict):
             prefix = ".".join(parts[:depth])
             raise UsageError(
-                f'cannot set "{key.strip()}": "{prefix}" is a value, not a section',
+                f'cannot set "{key}": "{prefix}" is a value, not a section',
                 f'write "{prefix}=VALUE"',
             )
-    section[parts[-1]] = _parse_value(text.strip(), _is_tuple(parts))
+    section[parts[-1]] = value
 
 
 def _parse_value(text: str, is_tuple: bool) -> Any:

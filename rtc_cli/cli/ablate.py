@@ -1,4 +1,4 @@
-"""`rtc ablate`: which delays should be simulated in training?"""
+"""`rtc ablate`: training delays, or a grid of settings, compared."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ DEFAULT_ABLATION = "ablations/delay_distribution"
 
 @app.command(
     epilog="Examples:  rtc ablate ablations/delay_distribution   |   "
-    "rtc ablate --set train.seeds=0,1 --set eval.episodes=256"
+    "rtc ablate ablations/multimodality --seeds 0-2"
 )
 def ablate(
     recipe: RecipeArgument = None,
@@ -37,11 +37,13 @@ def ablate(
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare distributions of delays simulated in training.
+    """Compare training delays, or the settings of a grid.
 
-    Experts, data and the base policy up to the fork are computed once; each variant goes on from
-    there. Without RECIPE: the run's own, or ablations/delay_distribution.
+    Distributions of simulated delays go on from one base policy. The combinations of a grid are
+    runs of their own, below this one in variants/, on shared experts. Without RECIPE: the run's
+    own, or ablations/delay_distribution.
     """
+    from rtc_cli.pipeline.grid import grid_plan, locked, open_runs
     from rtc_cli.pipeline.plan import ablation_plan
     from rtc_cli.report.page import build_ablation_report
     from rtc_cli.report.render import render_ablation
@@ -49,11 +51,14 @@ def ablate(
     with output(as_json) as out:
         changes = set_with_tasks(set_, tasks)
         opened = start(recipe, changes, run, resume=resume, seeds=seeds, default=DEFAULT_ABLATION)
-        with opened.lock():
-            run_jobs(opened, ablation_plan(opened), workers)
+        own = open_runs(opened)
+        with locked([*own, opened]):
+            jobs = grid_plan(opened, own) if own else ablation_plan(opened)
+            run_jobs(opened, jobs, workers)
             built = build_ablation_report(opened.folder)
         out.result(
             built.data | {"report": str(built.html)},
             *render_ablation(built.data),
+            *built.data.get("answer", ()),
             f"report: {built.html}",
         )

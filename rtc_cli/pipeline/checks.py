@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.pipeline.evaluation import TUNED, cells_of, methods_of, tuning_cells
+from rtc_cli.pipeline.grid import combinations
 from rtc_cli.recipe import EvalConfig, Recipe
 from rtc_cli.tasks import get_task
 
@@ -22,6 +23,8 @@ def check_recipe(recipe: Recipe) -> None:
                 f'unknown sampler "{sampler}".{did_you_mean(sampler, list_samplers())}'
             )
     check_evaluation(recipe.eval, recipe.horizon)
+    for combination in combinations(recipe):
+        check_recipe(combination.recipe)
 
 
 def check_evaluation(config: EvalConfig, horizon: int) -> None:

@@ -32,23 +32,27 @@ def run_plan(run: Run) -> list[Job]:
 
     Seed by seed, so that an interrupted run holds whole seeds, and the first numbers come early.
     """
+    seeds = (seed_plan(run, seed) for seed in run.recipe.train.seeds)
+    return [*expert_jobs(run), *chain.from_iterable(seeds)]
+
+
+def seed_plan(run: Run, seed: int) -> list[Job]:
+    """Return what `run_plan` does for one training seed; the first one's has what is done once."""
     recipe = run.recipe
-    jobs = _experts(run)
-    for place, seed in enumerate(recipe.train.seeds):
-        jobs += _training(run, seed)
-        if place == 0:
-            jobs += _diversity(run, seed)
-        jobs += eval_plan(run, recipe.eval, recipe.tasks, (seed,))
-        if place == 0:
-            jobs += _tuning(run)
-    return jobs
+    first = seed == recipe.train.seeds[0]
+    return [
+        *_training(run, seed),
+        *(_diversity(run, seed) if first else ()),
+        *eval_plan(run, recipe.eval, recipe.tasks, (seed,)),
+        *(_tuning(run) if first else ()),
+    ]
 
 
 def train_plan(run: Run) -> list[Job]:
     """Return the jobs of `rtc train`: experts, data, and both checkpoints of every seed."""
     seeds = run.recipe.train.seeds
     trainings = (_training(run, seed) for seed in seeds)
-    return [*_experts(run), *chain.from_iterable(trainings), *_diversity(run, seeds[0])]
+    return [*expert_jobs(run), *chain.from_iterable(trainings), *_diversity(run, seeds[0])]
 
 
 def _training(run: Run, seed: int) -> list[Job]:
@@ -60,7 +64,7 @@ def ablation_plan(run: Run) -> list[Job]:
     recipe = run.recipe
     variants = tuple(recipe.ablation.variants) if recipe.ablation is not None else ()
     jobs = [
-        *_experts(run),
+        *expert_jobs(run),
         *_data_and_forks(run, recipe.train.seeds),
         *_policies(run, recipe.train.seeds, variants),
     ]
@@ -124,7 +128,8 @@ def profile_plan(run: Run) -> list[Job]:
     return [Job("profile", PROFILE, partial(profiling.profile, run.folder))]
 
 
-def _experts(run: Run) -> list[Job]:
+def expert_jobs(run: Run) -> list[Job]:
+    """Return the jobs that train a run's experts."""
     return [
         Job(
             _expert_name(task, seed),

@@ -10,6 +10,7 @@ from rtc_cli.errors import StateError
 from rtc_cli.files import write_bytes, write_json, write_text
 from rtc_cli.levels import task_label
 from rtc_cli.report import figures, loss_sections, sections
+from rtc_cli.report.ablation_grid import grid_document
 from rtc_cli.report.document import (
     Block,
     Code,
@@ -20,6 +21,7 @@ from rtc_cli.report.document import (
     Section,
     pictures,
 )
+from rtc_cli.report.grid_rows import grid_of, load_grid
 from rtc_cli.report.html import render_html
 from rtc_cli.report.inputs import RunInputs, load_run
 from rtc_cli.report.loss_text import (
@@ -53,6 +55,7 @@ TABLES = {
     "classes": "classes",
     "controls": "controls",
     "d90": "d90",
+    "effects": "effects",
 }
 CSV_DIGITS = 5
 
@@ -75,7 +78,7 @@ def build_report(run_folder: Path | str) -> ReportPaths:
     Raises StateError where the run is missing, damaged, or holds no evaluated episodes.
     """
     run = load_run(run_folder)
-    if run.episodes.empty and not run.variants.empty:
+    if run.episodes.empty and (grid_of(run.recipe) or not run.variants.empty):
         return build_ablation_report(run_folder)
     if run.episodes.empty:
         raise _nothing_to_report(run, "rtc eval")
@@ -183,9 +186,14 @@ def build_ablation_report(
     """Build the report of an ablation: success by evaluation delay per training distribution.
 
     `episodes` (default: the run's) has the column `variant`; `baseline` (default: the recipe's,
-    else the first variant) is what the others are compared with.
+    else the first variant) is what the others are compared with. A grid has a report of its own.
     """
     run = load_run(run_folder)
+    # A run may hold both: then the report of the evaluation keeps its place.
+    where = REPORT if run.episodes.empty else f"{REPORT}/ablation"
+    if grid_of(run.recipe):
+        grid = load_grid(run.folder, run.recipe)
+        return _write(run, *grid_document(run, grid, _subtitle(run)), where)
     rows = run.variants if episodes is None else episodes
     if rows.empty:
         raise _nothing_to_report(run, "rtc ablate")
@@ -213,8 +221,6 @@ def build_ablation_report(
         "rows": table,
         "differences": gaps,
     }
-    # A run may hold both: then the report of the evaluation keeps its place.
-    where = REPORT if run.episodes.empty else f"{REPORT}/ablation"
     return _write(run, document, data, where)
 
 

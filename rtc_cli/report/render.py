@@ -255,6 +255,10 @@ def render_matrix(rows: Sequence[Row], protocol: str) -> "Table":
 
 def render_report(data: Mapping[str, Any]) -> "list[Table]":
     """Return the tables that a terminal shows after a report: success, differences, D90."""
+    if "grid" in data:
+        from rtc_cli.report.grid_tables import render_grid
+
+        return render_grid(data)
     rows: list[Row] = data["rows"]
     gaps: list[Row] = data["differences"]
     series = "variant" if rows and "variant" in rows[0] else "method"
