@@ -24,7 +24,8 @@ def angles(scene: Scene, body: str, action: list[float], ticks: int) -> np.ndarr
 
 def test_a_tilt_of_the_unicycle_grows_by_e_in_eleven_ticks():
     scene = get_task("unicycle")
-    lean = Jitter(bodies=("mast",), angle=0.05, pivot=(0.0, 0.3))
+    # So small that only the growing part of the motion is left from 0.06 rad on.
+    lean = Jitter(bodies=("mast",), angle=0.02, pivot=(0.0, 0.3))
     tilt = angles(replace(scene, motors=(), jitters=(lean,)), "mast", [0.0], 60)
     grows = np.flatnonzero((tilt > 0.06) & (tilt < 0.35))
     rate = np.polyfit(grows, np.log(tilt[grows]), 1)[0]
