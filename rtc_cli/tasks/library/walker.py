@@ -1,0 +1,171 @@
+"""Walk a biped to a post, away from a wall that follows it.
+
+A torso stands on two legs, each with a thigh, a shin and a round foot; four motors turn hips and
+knees. Solved when the torso touches the post, 2 m to the right. Failed when the torso touches the
+bar, 0.3 m above the ground, or the wall, which comes from the left at 0.18 m/s. Legs pass through
+the bar and touch the ground only.
+
+What makes it dynamic: the motors set speeds, not angles, so that the noise of every action stays
+in the pose until it is corrected. Each step leaves the torso on one foot, from which it topples,
+and only the next step in the right place catches it. Standing still fails too: the wall arrives.
+
+Time constant: balanced on one foot, with the motors at rest, a tilt grows by e in 0.35 s (10
+control steps), measured. A solved episode takes about 100 control steps, 10 of these.
+
+| observation | unit | range |
+| --- | --- | --- |
+| torso.position.x, y | m | −10 to 10 |
+| torso.velocity.vx, vy | m/s | −10 to 10 |
+| torso.angle.cos, sin | 1 | −1 to 1 |
+| torso.angular_velocity | rad/s | −10 to 10 |
+| torso.relative_angle.left_thigh.cos, sin | 1 | −1 to 1 |
+| left_thigh.relative_angle.left_shin.cos, sin | 1 | −1 to 1 |
+| left_thigh.angular_velocity | rad/s | −10 to 10 |
+| left_shin.angular_velocity | rad/s | −10 to 10 |
+| torso.relative_angle.right_thigh.cos, sin | 1 | −1 to 1 |
+| right_thigh.relative_angle.right_shin.cos, sin | 1 | −1 to 1 |
+| right_thigh.angular_velocity | rad/s | −10 to 10 |
+| right_shin.angular_velocity | rad/s | −10 to 10 |
+| wall.x | m | −10 to 10 |
+
+| action | unit | range |
+| --- | --- | --- |
+| left_hip | fraction of 1.2 rad/s | −1 to 1 |
+| left_knee | fraction of 1.2 rad/s | −1 to 1 |
+| right_hip | fraction of 1.2 rad/s | −1 to 1 |
+| right_knee | fraction of 1.2 rad/s | −1 to 1 |
+
+Angles count anticlockwise: of the torso from upright, of a thigh from the torso's axis, of a shin
+from its thigh. Positive hip rates swing a leg forward, positive knee rates stretch it.
+"""
+
+from __future__ import annotations
+
+from rtc_cli.tasks.legs import AROUND, PARTS, TORSO, Leg, ground
+from rtc_cli.tasks.scene import (
+    WORLD,
+    Action,
+    Body,
+    Box,
+    Distance,
+    Groove,
+    Jitter,
+    Observe,
+    Role,
+    Scene,
+)
+
+TORSO_WIDTH = 0.22
+TORSO_HEIGHT = 0.45
+TORSO_KG = 2.0
+TARGET_X = 2.0
+BAR_Y = 0.3
+WALL_X = -1.1
+WALL_Y = 0.75
+WALL_SPEED = 0.18  # m/s
+
+
+def _leg(side: str, thigh: float, knee: float) -> Leg:
+    return Leg(
+        side=side,
+        hip_x=0.0,
+        thigh=thigh,
+        knee=knee,
+        bone=0.4,
+        thigh_kg=0.3,
+        shin_kg=0.2,
+        foot_radius=0.1,
+        hip_limits=(-0.8, 1.1),
+        knee_limits=(-1.3, -0.05),
+        rate=1.2,
+        hip_torque=20.0,
+        knee_torque=15.0,
+    )
+
+
+LEFT, RIGHT = _leg("left", 0.5, -0.5), _leg("right", 0.0, -0.6)
+HIP_Y = max(LEFT.reach, RIGHT.reach) + 0.02  # the jitter of the legs needs some room
+
+
+def _surroundings() -> tuple[Body, ...]:
+    left, right = -3.0, TARGET_X + 3.0
+    bar = Box(
+        width=right - left,
+        height=0.02,
+        offset=(TARGET_X / 2, BAR_Y - 0.01),
+        role=Role.HAZARD,
+        category=AROUND,
+        mask=TORSO,
+    )
+    post = Box(
+        width=0.1, height=1.6, offset=(0.0, 0.8), role=Role.TARGET, category=AROUND, mask=TORSO
+    )
+    wall = Box(width=0.1, height=1.3, density=10.0, role=Role.HAZARD, category=AROUND, mask=TORSO)
+    return (
+        Body(name="ground", static=True, shapes=(ground(left, right), bar)),
+        Body(name="post", static=True, position=(TARGET_X, 0.0), shapes=(post,)),
+        Body(
+            name="wall",
+            position=(WALL_X, WALL_Y),
+            velocity=(WALL_SPEED, 0.0),
+            rotates=False,
+            shapes=(wall,),
+        ),
+    )
+
+
+def _torso() -> Body:
+    shape = Box(
+        width=TORSO_WIDTH,
+        height=TORSO_HEIGHT,
+        offset=(0.0, TORSO_HEIGHT / 2),
+        density=TORSO_KG / (TORSO_WIDTH * TORSO_HEIGHT),
+        role=Role.GOAL,
+        group=PARTS,
+        category=TORSO,
+        mask=AROUND,
+    )
+    return Body(name="torso", position=(0.0, HIP_Y), shapes=(shape,))
+
+
+SCENE = Scene(
+    name="walker",
+    description=__doc__ or "",
+    bodies=(*_surroundings(), _torso(), *LEFT.bodies(HIP_Y), *RIGHT.bodies(HIP_Y)),
+    joints=(
+        Groove(
+            a=WORLD,
+            b="wall",
+            start=(WALL_X - 1.0, WALL_Y),
+            end=(WALL_X + 5.0, WALL_Y),
+            anchor=(WALL_X, WALL_Y),
+        ),
+        *LEFT.hinges(HIP_Y),
+        *RIGHT.hinges(HIP_Y),
+    ),
+    motors=(*LEFT.motors(), *RIGHT.motors()),
+    actions=tuple(Action(name=motor.action) for leg in (LEFT, RIGHT) for motor in leg.motors()),
+    observations=(
+        Observe(kind="position", body="torso"),
+        Observe(kind="velocity", body="torso"),
+        Observe(kind="angle", body="torso"),
+        Observe(kind="angular_velocity", body="torso"),
+        *LEFT.observations(),
+        *RIGHT.observations(),
+        Observe(kind="x", body="wall"),
+    ),
+    progress_terms=(Distance(observation="torso.position", target=(TARGET_X, HIP_Y)),),
+    progress_scale=1.0,
+    jitters=(
+        Jitter(
+            bodies=("torso", *LEFT.names, *RIGHT.names),
+            position=(0.05, 0.0),
+            angle=0.03,
+            velocity=(0.1, 0.0),
+        ),
+        Jitter(bodies=LEFT.names, angle=0.2),
+        Jitter(bodies=RIGHT.names, angle=0.2),
+        Jitter(bodies=("wall",), position=(0.1, 0.0)),
+    ),
+    view=(-1.4, -0.15, TARGET_X + 0.4, 1.65),
+)
