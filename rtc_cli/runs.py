@@ -5,6 +5,7 @@
     experts/<task>/<seed>/  data/<task>/seed-<k>/  checkpoints/<task>/seed-<k>/<base|fork|prefix>/
     results/       episodes/*.parquet, training/*.json, profile.json
     report/
+    variants/<combination>/  runs of an ablation's grid, on these experts
     programs/      compiled programs; worth nothing on another machine
 
 One writer at a time holds the run's lock. The operating system frees the lock when its owner
