@@ -245,18 +245,21 @@ def test_without_noise_the_oracle_sees_what_its_first_token_will_meet(
         np.testing.assert_allclose(seen, spy.shown[tick], atol=1e-5)
 
 
-def test_twins_measure_the_reaction_and_change_nothing_else(
-    scene: Scene, policy: Policy, worlds: WorldBatch
-) -> None:
+def test_twins_measure_the_reaction_and_change_nothing_else(scene: Scene, policy: Policy) -> None:
+    """A sideways push shows in a sideways velocity; the scene's own observations lack one."""
+    sideways = Observe(kind="vx", body="disc", scale=0.1)
+    seen = replace(scene, name="seen", observations=(*scene.observations[:2], sideways))
     naive = get_method("naive")
-    plain = evaluate(scene, policy, naive, 3, 2, range(20), worlds=worlds)
-    rows = evaluate(scene, policy, naive, 3, 2, range(20), worlds=worlds, reaction_episodes=12)
+    plain = evaluate(seen, policy, naive, 3, 2, range(20))
+    rows = evaluate(seen, policy, naive, 3, 2, range(20), reaction_episodes=12)
     measured = rows.measured_reaction_ticks
     assert measured[12:].isna().all()
     assert measured[:12].notna().sum() >= 3
     assert (measured.dropna() >= 2).all()  # never before d ticks have passed
     column = ["measured_reaction_ticks"]
     pd.testing.assert_frame_equal(rows.drop(columns=column), plain.drop(columns=column))
+    unseen = evaluate(scene, policy, naive, 3, 2, range(6), reaction_episodes=6)
+    assert unseen.measured_reaction_ticks.isna().all()
 
 
 @pytest.mark.parametrize(("name", "s", "d"), [("pinv", 2, 2), ("oracle", 4, 3), ("sync", 4, 2)])
