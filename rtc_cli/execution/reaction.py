@@ -22,7 +22,7 @@ from rtc_cli.tasks.scene import Scene
 if TYPE_CHECKING:
     from rtc_cli.execution.rollout import Worlds
 
-PUSH_M_S = 0.5
+PUSH_M_S = 1.0
 EPSILON = 0.1  # normalised action units: standard deviations of the actions in the data
 
 FloatArray = NDArray[np.float32]

@@ -45,10 +45,10 @@ def test_a_cart_at_rest_gets_as_far_as_the_docstring_says(calm):
     with WorldBatch(calm, 1) as batch:
         batch.reset([0])
         batch.step(push)
-        assert batch.states[0, calm.body_index["cart"], 0] == pytest.approx(0.20, abs=0.01)
+        assert batch.states[0, calm.body_index["cart"], 0] == pytest.approx(0.13, abs=0.01)
         batch.reset([0])
         batch.step(push[:, :5])
-        assert batch.states[0, calm.body_index["cart"], 0] == pytest.approx(0.06, abs=0.01)
+        assert batch.states[0, calm.body_index["cart"], 0] == pytest.approx(0.04, abs=0.01)
 
 
 def test_noise_decides_where_a_bounce_goes():
@@ -56,4 +56,4 @@ def test_noise_decides_where_a_bounce_goes():
     bounced = (np.diff(ball[..., 1]) > 0).argmax(axis=1)
     rows = np.arange(len(ball))
     kick = ball[rows, bounced + 1, 0] - ball[rows, bounced, 0]
-    assert kick.std() == pytest.approx(0.44, abs=0.03)
+    assert kick.std() == pytest.approx(0.36, abs=0.03)
