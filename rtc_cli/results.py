@@ -92,6 +92,7 @@ def cell_key(
     first_episode: int,
     episodes: int,
     reaction_episodes: int,
+    reaction: Mapping[str, float],
     tile: int,
 ) -> str:
     """Key (20 hex digits) of a cell's content: equal keys mean equal rows but for their labels.
@@ -102,9 +103,15 @@ def cell_key(
         settings: all settings of the sampler, defaults included (``Sampler.settings``).
         hold: what ``sync`` executes while it waits; it has no part in other cells.
         reaction_episodes: how many of the episodes run once more, with a push.
+        reaction: what a measured reaction is (``rtc_cli.execution.reaction.definition``); it has
+            no part in cells without such episodes.
         tile: the rows of one inference; XLA's last bits depend on it.
     """
     content = dict(locals()) | {"settings": dict(settings), "schema": SCHEMA_VERSION}
+    if reaction_episodes:
+        content["reaction"] = dict(reaction)
+    else:
+        del content["reaction"]
     if schedule != "sync":
         content["hold"] = ""
     text = json.dumps(content, sort_keys=True, allow_nan=False)

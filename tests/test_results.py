@@ -33,6 +33,7 @@ CONTENT: dict[str, Any] = {
     "first_episode": 0,
     "episodes": 4,
     "reaction_episodes": 2,
+    "reaction": {"push_m_s": 1.0},
     "tile": 32,
 }
 
@@ -63,6 +64,8 @@ def test_key_ignores_what_does_not_matter() -> None:
     assert cell_key(**CONTENT) == cell_key(**CONTENT | {"hold": "zero"})
     reordered = dict(reversed(CONTENT["settings"].items()))
     assert cell_key(**CONTENT) == cell_key(**CONTENT | {"settings": reordered})
+    unpushed = CONTENT | {"reaction_episodes": 0}
+    assert cell_key(**unpushed) == cell_key(**unpushed | {"reaction": {"push_m_s": 9.0}})
     sync = CONTENT | {"schedule": "sync"}
     assert cell_key(**sync) != cell_key(**sync | {"hold": "zero"})
     assert len(cell_key(**CONTENT)) == 20

@@ -46,7 +46,7 @@ def ablate(
     from rtc_cli.pipeline.grid import grid_plan, locked, open_runs
     from rtc_cli.pipeline.plan import ablation_plan
     from rtc_cli.report.page import build_ablation_report
-    from rtc_cli.report.render import render_ablation
+    from rtc_cli.report.terminal import render_report
 
     with output(as_json) as out:
         changes = set_with_tasks(set_, tasks)
@@ -58,7 +58,7 @@ def ablate(
             built = build_ablation_report(opened.folder)
         out.result(
             built.data | {"report": str(built.html)},
-            *render_ablation(built.data),
+            *render_report(built.data),
             *built.data.get("answer", ()),
             f"report: {built.html}",
         )

@@ -86,8 +86,8 @@ def evaluation_document(run: Run, results: Results) -> dict[str, Any]:
 def evaluation_tables(results: Results) -> list[RenderableType]:
     """Return the tables for people: success, differences, losses, D90, the matrix."""
     from rtc_cli.report import render
-    from rtc_cli.report.loss_grids import render_losses
-    from rtc_cli.report.loss_text import main_protocol
+    from rtc_cli.report.losses.grids import render_losses
+    from rtc_cli.report.losses.text import main_protocol
     from rtc_cli.report.tables import ALL
 
     tables: list[RenderableType] = []

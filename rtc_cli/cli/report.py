@@ -17,9 +17,9 @@ def report(run: RunOption = None, as_json: JsonOption = False) -> None:
     The report lies in the run's folder `report/`, with its figures and all rows unrounded. What
     the run does not hold yet (a profile, more training seeds) is said in the report.
     """
-    from rtc_cli.report.loss_grids import render_losses
+    from rtc_cli.report.losses.grids import render_losses
     from rtc_cli.report.page import build_report
-    from rtc_cli.report.render import render_report
+    from rtc_cli.report.terminal import render_report
     from rtc_cli.runs import newest_run, open_run
 
     with output(as_json) as out:

@@ -21,15 +21,13 @@ from rtc_cli.core.geometry import ChunkGeometry
 from rtc_cli.core.policy import PhysicalActions, Policy, TimeTable
 from rtc_cli.errors import DivergedError
 from rtc_cli.execution.timeline import FIRST_CHUNK_TICK
+from rtc_cli.execution.worlds import FloatArray, IntArray
 from rtc_cli.samplers import ChunkRequest, Sampler
 
 TILE = 32
 """Rows of one inference. Processor time per row hardly depends on it from 16 to 64; a smaller tile
 wastes less on the last few long episodes, a larger one less on calls (``benchmarks/evaluation.py``
 measures both)."""
-
-FloatArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 
 def noise_key(eval_seed: int, task: str) -> PRNGKeyArray:

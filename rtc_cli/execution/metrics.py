@@ -24,7 +24,8 @@ name                    meaning                                                 
 ``norm`` is the Euclidean norm over action dims. A hand-over is a tick at which a chunk acts for
 the first time while another action went before; hold actions count as actions. With s = 1 every
 tick is a hand-over, so ``seam_jump`` is undefined. An inference counts if it became usable within
-the episode, that is, t + d < length.
+the episode, that is, t + d < length. Under the schedule ``oracle`` a chunk begins at t + d: its
+``seam_gap`` compares new[0] with overlap[d].
 """
 
 from __future__ import annotations

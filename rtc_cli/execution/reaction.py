@@ -11,22 +11,23 @@ It is undefined (NaN) where an episode ends, in either world, before that happen
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtc_cli.execution.worlds import FloatArray, IntArray, Worlds
 from rtc_cli.tasks.randomness import stream
 from rtc_cli.tasks.scene import Scene
 
-if TYPE_CHECKING:
-    from rtc_cli.execution.rollout import Worlds
-
 PUSH_M_S = 1.0
+MARGIN_HORIZONS = 2  # horizons at the end of an episode in which nothing is pushed
 EPSILON = 0.1  # normalised action units: standard deviations of the actions in the data
 
-FloatArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
+
+def definition() -> dict[str, float]:
+    """What decides the measured reaction of an episode, besides the cell: for a result's key."""
+    return {"push_m_s": PUSH_M_S, "epsilon": EPSILON, "margin_horizons": MARGIN_HORIZONS}
 
 
 @dataclass(frozen=True)
@@ -43,12 +44,13 @@ class Pushes:
     change: NDArray[np.float64]
 
 
-def draw_pushes(scene: Scene, episodes: IntArray, lengths: IntArray, margin: int) -> Pushes:
+def draw_pushes(scene: Scene, episodes: IntArray, lengths: IntArray, horizon: int) -> Pushes:
     """Draw one push per episode, functions of (task, episode) and the undisturbed length only.
 
-    Ticks are uniform over the episode but for its last ``margin`` ticks, so that there is time to
-    react; directions are left or right.
+    Ticks are uniform over the episode but for its last ``MARGIN_HORIZONS`` chunks of ``horizon``
+    ticks, so that there is time to react; directions are left or right.
     """
+    margin = MARGIN_HORIZONS * horizon
     numbers = np.array([stream(scene.name, "push", int(e)).uniform(size=2) for e in episodes])
     ticks = np.floor(numbers[:, 0] * np.maximum(lengths - margin, 1)).astype(np.int64)
     change = np.zeros((len(lengths), len(scene.bodies), 3))

@@ -16,7 +16,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -25,11 +25,12 @@ from numpy.typing import NDArray
 from rtc_cli.core.geometry import ChunkGeometry
 from rtc_cli.core.policy import Policy
 from rtc_cli.errors import UsageError, did_you_mean
-from rtc_cli.execution.inference import TILE, ChunkMaker, FloatArray, IntArray
+from rtc_cli.execution.inference import TILE, ChunkMaker
 from rtc_cli.execution.methods import Method
 from rtc_cli.execution.metrics import Trace, episode_metrics
 from rtc_cli.execution.reaction import PushedWorlds, Pushes, draw_pushes, measured_reaction
 from rtc_cli.execution.timeline import Cycle, cycle, first_inference, timeline
+from rtc_cli.execution.worlds import FloatArray, IntArray, Worlds
 from rtc_cli.samplers import Sampler, get_sampler
 from rtc_cli.tasks.batch import WorldBatch
 from rtc_cli.tasks.scene import Scene, Status
@@ -41,20 +42,6 @@ HOLDS = ("last", "zero")
 
 # One inference runs while the next one waits: the thread is never idle while tiles are full.
 _IN_FLIGHT = 2
-
-
-class Worlds(Protocol):
-    """What a rollout needs of a ``WorldBatch``."""
-
-    n: int
-
-    def reset(self, seeds: IntArray, worlds: IntArray | None = None) -> FloatArray: ...
-
-    def step(self, actions: FloatArray, worlds: IntArray | None = None) -> Any: ...
-
-    def predict(self, actions: FloatArray, worlds: IntArray | None = None) -> FloatArray: ...
-
-    def push(self, change: NDArray[np.float64], worlds: IntArray | None = None) -> None: ...
 
 
 def method_sampler(method: Method) -> Sampler:
@@ -136,7 +123,7 @@ def evaluate_cell(
         reaction = np.full(len(numbers), np.nan)
         if reaction_episodes:
             first = numbers[:reaction_episodes]
-            pushes = draw_pushes(scene, first, run.lengths[: len(first)], 2 * geometry.horizon)
+            pushes = draw_pushes(scene, first, run.lengths[: len(first)], geometry.horizon)
             pushed = PushedWorlds(batch, first, pushes)
             twin = _Rollout(plan, maker, sampler, pushed, thread, first)
             twin.run(lambda done, total: None)
@@ -348,9 +335,10 @@ class _Rollout:
     def _compare(self, slots: IntArray, chunk: FloatArray, overlap: FloatArray) -> None:
         """Record how far the new chunk is from the overlap, before it is executed."""
         delay, entry = self.plan.delay, (self.position[slots], self.cycles[slots])
-        plan = self.plan.cycle
-        if delay < self.plan.geometry.horizon - plan.new_stop:
-            self.seam_gap[entry] = _gap(chunk[:, plan.new_start], overlap[:, delay])
+        geometry = self.plan.geometry
+        if delay < geometry.horizon - geometry.exec_horizon:
+            first = self.plan.cycle.new_start
+            self.seam_gap[entry] = _gap(chunk[:, first], overlap[:, delay])
         # Only under ``async`` does a chunk begin with what is committed; and ``prefix`` returns
         # the committed actions themselves: there is nothing to compare.
         if delay and self.plan.schedule == "async" and self.sampler.name != "prefix":

@@ -215,6 +215,7 @@ class _Checkpoints:
 
     def key(self, cell: Cell) -> str:
         """Return the content key of a cell."""
+        from rtc_cli.execution import reaction
         from rtc_cli.execution.inference import TILE
         from rtc_cli.execution.rollout import method_sampler
         from rtc_cli.results import cell_key
@@ -236,6 +237,7 @@ class _Checkpoints:
             first_episode=target.first_episode,
             episodes=target.episodes,
             reaction_episodes=target.reaction_episodes,
+            reaction=reaction.definition(),
             tile=TILE,
         )
 

@@ -9,8 +9,7 @@ import pandas as pd
 from rtc_cli.errors import StateError
 from rtc_cli.files import write_bytes, write_json, write_text
 from rtc_cli.levels import task_label
-from rtc_cli.report import figures, loss_sections, sections
-from rtc_cli.report.ablation_grid import grid_document
+from rtc_cli.report import figures, sections
 from rtc_cli.report.document import (
     Block,
     Code,
@@ -21,10 +20,12 @@ from rtc_cli.report.document import (
     Section,
     pictures,
 )
-from rtc_cli.report.grid_rows import grid_of, load_grid
+from rtc_cli.report.grid.document import grid_document
+from rtc_cli.report.grid.rows import grid_of, load_grid
 from rtc_cli.report.html import render_html
 from rtc_cli.report.inputs import RunInputs, load_run
-from rtc_cli.report.loss_text import (
+from rtc_cli.report.losses import sections as loss_sections
+from rtc_cli.report.losses.text import (
     control_alarms,
     loss_answer,
     main_protocol,

@@ -1,8 +1,8 @@
 """Rows as tables for people: text grids (shared by Markdown and HTML) and rich tables."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rtc_cli.levels import task_label
 from rtc_cli.report.selection import fits_protocol, method_order
@@ -251,26 +251,3 @@ def render_matrix(rows: Sequence[Row], protocol: str) -> "Table":
     return rich_table(
         matrix_grid(rows, protocol), f"Policy x sampler: episodes solved (%), protocol {protocol}"
     )
-
-
-def render_report(data: Mapping[str, Any]) -> "list[Table]":
-    """Return the tables that a terminal shows after a report: success, differences, D90."""
-    if "grid" in data:
-        from rtc_cli.report.grid_tables import render_grid
-
-        return render_grid(data)
-    rows: list[Row] = data["rows"]
-    gaps: list[Row] = data["differences"]
-    series = "variant" if rows and "variant" in rows[0] else "method"
-    named = [row for row in rows if "+" not in row["method"]]
-    tables = render_summary(named, series=series)
-    for protocol in dict.fromkeys(row["protocol"] for row in rows):
-        if any(row["task"] == ALL and fits_protocol(row, protocol) for row in gaps):
-            tables.append(render_differences(gaps, protocol))
-    d90 = [row for row in data.get("d90", []) if "+" not in row["method"]]
-    return [*tables, *render_d90(d90)]
-
-
-def render_ablation(data: Mapping[str, Any]) -> "list[Table]":
-    """Return the tables of an ablation: success by training distribution, differences."""
-    return render_report(data)

@@ -21,7 +21,7 @@ from rtc_cli.report.document import (
     Table,
 )
 from rtc_cli.report.inputs import RunInputs
-from rtc_cli.report.losses import (
+from rtc_cli.report.losses.costs import (
     class_rows,
     control_rows,
     decomposition_rows,

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -53,6 +53,19 @@ class Record:
     obs: FloatArray
     status: npt.NDArray[np.int8]
     ticks: npt.NDArray[np.int32]
+
+
+class _Outcome(NamedTuple):
+    """How a chunk of T ticks went in m worlds; a tick that does not come is T.
+
+    `end` is the tick that ends the episode and `fast` the first one with a body above a limit of
+    speed; `broken` says whether anything is NaN or infinite at any tick.
+    """
+
+    end: Index
+    status: npt.NDArray[np.int8]
+    fast: Index
+    broken: Flags
 
 
 class LocalBatch:
@@ -123,14 +136,12 @@ class LocalBatch:
         """Advance `states[rows]` through their actions, each to the tick that ends it at most."""
         self._retrace(worlds[rows])
         for first in range(0, actions.shape[1], MAX_CHUNK):
-            names = worlds[rows].tolist()
             piece = actions[rows, first : first + MAX_CHUNK]
-            log, contacts = self._scratch.run(names, piece)
-            end, status, _ = self._read(log, contacts)
+            log, contacts = self._scratch.run(worlds[rows].tolist(), piece)
+            end, status, _, broken = self._read(log, contacts)
+            _mend(self._scratch, worlds[rows[broken]])
             last = np.minimum(end, log.shape[1] - 1)
             states[rows[:, None], self._moving] = log[np.arange(len(rows)), last]
-            for row in np.flatnonzero(status == Status.INVALID).tolist():
-                self._scratch.rebuild(names[row])
             rows = rows[status == Status.RUNNING]
 
     def _retrace(self, worlds: Index) -> None:
@@ -192,7 +203,8 @@ class LocalBatch:
         applied = np.clip(noisy, self._low, self._high)
         self._applied[worlds[:, None], at] = applied
         log, contacts = self._engine.run(worlds.tolist(), applied)
-        end, status, fast = self._read(log, contacts)
+        end, status, fast, broken = self._read(log, contacts)
+        _mend(self._engine, worlds[broken])
         again = fast < np.minimum(end, actions.shape[1] - 1)
         self._settle(log, end, status, worlds, ~again)
         for row in np.flatnonzero(again).tolist():
@@ -217,10 +229,8 @@ class LocalBatch:
             log, _ = self._engine.run(world.tolist(), self._applied[world, tick : tick + 1])
             self._clamp(log[:, 0], world)
 
-    def _read(
-        self, log: StateArray, contacts: Sequence[Contact]
-    ) -> tuple[Index, npt.NDArray[np.int8], Index]:
-        """From states (m, T, moving, 6): end tick (T if none) and status; first tick too fast."""
+    def _read(self, log: StateArray, contacts: Sequence[Contact]) -> _Outcome:
+        """Read the outcome from states (m, T, moving, 6) and what touched."""
         rows, ticks = log.shape[:2]
         solved = np.full(rows, ticks)
         failed = self._first(self._outside(log))
@@ -236,7 +246,8 @@ class LocalBatch:
             (Status.INVALID, invalid),
         ):
             status[(first == end) & (end < ticks)] = value
-        return end, status, self._first(_any(self._too_fast(log), (2,)))
+        fast = self._first(_any(self._too_fast(log), (2,)))
+        return _Outcome(end, status, fast, invalid < ticks)
 
     @staticmethod
     def _first(flags: Flags) -> Index:
@@ -268,7 +279,7 @@ class LocalBatch:
         worlds: Index,
         keep: Flags,
     ) -> None:
-        """Take over the outcome of rows `keep`: ticks, states, status, clamp, new Spaces."""
+        """Take over the outcome of rows `keep`: ticks, states, status, clamp."""
         rows = np.flatnonzero(keep)
         worlds, status = worlds[rows], status[rows]
         last = np.minimum(end[rows], log.shape[1] - 1)
@@ -278,9 +289,7 @@ class LocalBatch:
         states = log[rows, last]
         self._clamp(states, worlds)
         self.states[worlds[:, None], self._moving] = states
-        for world in worlds[status == Status.INVALID].tolist():
-            self._engine.rebuild(world)
-            self.invalid_count += 1
+        self.invalid_count += int(np.sum(status == Status.INVALID))
 
     def _clamp(self, states: StateArray, worlds: Index) -> None:
         """Limit the velocities of states (m, moving, 6), in place and in the physics."""
@@ -293,6 +302,12 @@ class LocalBatch:
             ]
             np.clip(state[:, 5], -self.scene.max_spin, self.scene.max_spin, out=state[:, 5])
             self._engine.set_velocities(int(worlds[row]), state)
+
+
+def _mend(engine: Engine, worlds: Index) -> None:
+    """Give new Spaces to worlds in which anything became NaN or infinite, even after their end."""
+    for world in worlds.tolist():
+        engine.rebuild(world)
 
 
 def _any(flags: Flags, axes: tuple[int, ...]) -> Flags:

@@ -86,12 +86,12 @@ def test_one_chunk_or_many_pieces_push_alike() -> None:
 
 def test_pushes_belong_to_the_episode_and_leave_time_to_react() -> None:
     lengths = np.array([100, 40, 10, 70])
-    several = draw_pushes(SCENE, np.array([5, 6, 7, 8]), lengths, 16)
-    alone = draw_pushes(SCENE, np.array([7, 8]), lengths[2:], 16)
+    several = draw_pushes(SCENE, np.array([5, 6, 7, 8]), lengths, 8)
+    alone = draw_pushes(SCENE, np.array([7, 8]), lengths[2:], 8)
     np.testing.assert_array_equal(several.tick[2:], alone.tick)
     np.testing.assert_array_equal(several.change[2:], alone.change)
     assert ((several.tick >= 0) & (several.tick <= np.maximum(lengths - 16, 0))).all()
-    many = draw_pushes(SCENE, np.arange(2000), np.full(2000, 66), 16)
+    many = draw_pushes(SCENE, np.arange(2000), np.full(2000, 66), 8)
     assert np.mean(many.tick) == pytest.approx(24.5, abs=1.0)  # uniform on 0..49
     assert np.mean(many.change[:, 0, 0] > 0) == pytest.approx(0.5, abs=0.05)
 

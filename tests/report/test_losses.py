@@ -12,16 +12,16 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from rtc_cli.report.loss_figures import losses_figure, main_figure, seam_rows, segments
-from rtc_cli.report.loss_grids import classes_of, costs_grid, render_losses
-from rtc_cli.report.loss_text import control_alarms, loss_answer, trend_sentences
-from rtc_cli.report.losses import (
+from rtc_cli.report.losses.costs import (
     class_rows,
     control_rows,
     decomposition_rows,
     loss_cells,
     recovered_rows,
 )
+from rtc_cli.report.losses.figures import losses_figure, main_figure, seam_rows, segments
+from rtc_cli.report.losses.grids import classes_of, costs_grid, render_losses
+from rtc_cli.report.losses.text import control_alarms, loss_answer, trend_sentences
 from rtc_cli.report.page import build_report
 from rtc_cli.report.sections import compute
 from rtc_cli.report.style import png

@@ -13,8 +13,8 @@ import pytest
 from rtc_cli.errors import StateError
 from rtc_cli.pipeline.grid import open_runs
 from rtc_cli.recipe import load_recipe
-from rtc_cli.report.grid_rows import effect_rows, grid_differences, headroom, load_grid
-from rtc_cli.report.grid_text import grid_answer
+from rtc_cli.report.grid.rows import effect_rows, grid_differences, headroom, load_grid
+from rtc_cli.report.grid.text import grid_answer
 from rtc_cli.report.page import build_report
 from rtc_cli.report.tables import ALL, pick
 from rtc_cli.results import ResultStore
@@ -148,7 +148,7 @@ def test_sentences_follow_from_the_numbers(run: Run) -> None:
 
 
 def test_headroom_is_the_correlation_of_fall_and_gain(run: Run) -> None:
-    from rtc_cli.report.grid_rows import grid_summary
+    from rtc_cli.report.grid.rows import grid_summary
 
     grid = load_grid(run.folder, recipe_of(run))
     found = headroom(grid_summary(grid), grid_differences(grid), "fixed:4", list(grid.factors))

@@ -14,8 +14,8 @@ import pytest
 from rtc_cli.errors import StateError
 from rtc_cli.report.figures import success_figure
 from rtc_cli.report.page import ReportPaths, build_ablation_report, build_report
-from rtc_cli.report.render import render_report
 from rtc_cli.report.tables import pick
+from rtc_cli.report.terminal import render_report
 from rtc_cli.report.text import answer
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}

@@ -205,6 +205,33 @@ def test_a_nan_world_is_marked_counted_and_rebuilt(engine: Any, workers: int) ->
         np.testing.assert_array_equal(after, worlds.states)
 
 
+@pytest.mark.parametrize("engine", ["fast", "public"])
+def test_nan_after_the_end_of_an_episode_does_not_reach_the_next(engine: Any) -> None:
+    scene = machine()
+    flying = {"hull", "leg0", "leg1"}
+    bodies = [
+        dataclasses.replace(body, velocity=(2.0, 0.0)) if body.name in flying else body
+        for body in scene.bodies
+    ]
+    place = scene.body_index["target"]
+    bodies[place] = dataclasses.replace(bodies[place], position=(0.325, 1.5), angle=0.0)
+    scene = dataclasses.replace(scene, bodies=tuple(bodies), action_noise=0.0, jitters=())
+    zeros = np.zeros((1, 8, 4), np.float32)
+    bad = zeros.copy()
+    bad[0, 5] = np.nan
+    with WorldBatch(scene, 1, 1, engine) as worlds:
+        ends = []
+        for actions in (zeros, bad, zeros):
+            worlds.reset([0])
+            record = worlds.step(actions)
+            ends.append((record.status[0], record.ticks[0], worlds.states))
+    assert ends[0][0] == Status.SOLVED
+    assert ends[0][1] <= 5
+    for status, ticks, states in ends[1:]:
+        assert (status, ticks) == ends[0][:2]
+        np.testing.assert_array_equal(states, ends[0][2])
+
+
 def test_actions_are_clipped_after_noise() -> None:
     # Noise of σ = 5 around 0: most sums leave [−1, 1] and must push with the full force.
     scene = ball(action_noise=5.0, **FREE)

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rtc_cli.levels import task_label
-from rtc_cli.report.loss_text import control_alarms
-from rtc_cli.report.losses import CLASSES, INSENSITIVE, NAIVE
+from rtc_cli.report.losses.costs import CLASSES, INSENSITIVE, NAIVE
+from rtc_cli.report.losses.text import control_alarms
 from rtc_cli.report.render import Grid, rich_table
 from rtc_cli.report.selection import method_order
 from rtc_cli.report.tables import ALL, Row, pick

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from rtc_cli.levels import task_label
 from rtc_cli.report.figures import success_panel
-from rtc_cli.report.loss_grids import by_class
+from rtc_cli.report.losses.grids import by_class
 from rtc_cli.report.selection import method_order
 from rtc_cli.report.style import FILLS, INK, MUTED, PAPER, looks, new_figure, tidy
 from rtc_cli.report.tables import ALL, Row, pick

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from rtc_cli.levels import task_label
-from rtc_cli.report.losses import CLASSES
+from rtc_cli.report.losses.costs import CLASSES
 from rtc_cli.report.selection import fits_protocol, fixed_protocols, method_order
 from rtc_cli.report.tables import ALL, Row, pick
 from rtc_cli.report.text import interval, points

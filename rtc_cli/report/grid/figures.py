@@ -7,8 +7,8 @@ another, lines are the rest. Method is colour, line factor is dashes and filling
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rtc_cli.report.grid_rows import NOISE
-from rtc_cli.report.grid_text import factor_name, setting_text, value_text
+from rtc_cli.report.grid.rows import NOISE
+from rtc_cli.report.grid.text import factor_name, setting_text, value_text
 from rtc_cli.report.selection import method_order
 from rtc_cli.report.style import INK, MUTED, PAPER, Look, looks, new_figure, tidy
 from rtc_cli.report.tables import ALL, Row, pick

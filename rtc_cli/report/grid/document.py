@@ -7,8 +7,8 @@ from typing import Any
 from rtc_cli.levels import task_label
 from rtc_cli.report import sections
 from rtc_cli.report.document import Block, Document, Fold, Note, Paragraph, Picture, Section
-from rtc_cli.report.grid_figures import grid_figure
-from rtc_cli.report.grid_rows import (
+from rtc_cli.report.grid.figures import grid_figure
+from rtc_cli.report.grid.rows import (
     GridEpisodes,
     effect_rows,
     grid_differences,
@@ -18,8 +18,8 @@ from rtc_cli.report.grid_rows import (
     require,
     settings_of,
 )
-from rtc_cli.report.grid_tables import effects_grid, settings_grid
-from rtc_cli.report.grid_text import QUESTION, factor_name, grid_answer, value_text
+from rtc_cli.report.grid.tables import effects_grid, settings_grid
+from rtc_cli.report.grid.text import QUESTION, factor_name, grid_answer, value_text
 from rtc_cli.report.inputs import RunInputs
 from rtc_cli.report.selection import fits_protocol
 from rtc_cli.report.tables import ALL, Row, main_flow_steps, pick

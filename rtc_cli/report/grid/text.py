@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rtc_cli.report.grid_rows import NOISE, last_cell
+from rtc_cli.report.grid.rows import NOISE, last_cell
 from rtc_cli.report.selection import fits_protocol
 from rtc_cli.report.tables import ALL, Row, pick
 from rtc_cli.report.text import difference_interval_text, interval, points

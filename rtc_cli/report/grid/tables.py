@@ -5,8 +5,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rtc_cli.levels import task_label
-from rtc_cli.report.grid_rows import PAIRS, last_cell
-from rtc_cli.report.grid_text import SHORT_NAMES, factor_name, value_text
+from rtc_cli.report.grid.rows import PAIRS, last_cell
+from rtc_cli.report.grid.text import SHORT_NAMES, factor_name, value_text
 from rtc_cli.report.render import Grid, rich_table
 from rtc_cli.report.selection import method_order
 from rtc_cli.report.tables import ALL, Row, pick

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 
 from rtc_cli.levels import task_label
-from rtc_cli.report import loss_figures
 from rtc_cli.report.document import Block, Fold, Note, Paragraph, Picture, Section, Table
-from rtc_cli.report.loss_grids import (
+from rtc_cli.report.losses import figures as loss_figures
+from rtc_cli.report.losses.costs import MARGIN
+from rtc_cli.report.losses.grids import (
     ADD_UP,
     classes_grid,
     classes_of,
@@ -16,14 +17,13 @@ from rtc_cli.report.loss_grids import (
     recovered_by_delay_grid,
     recovered_grid,
 )
-from rtc_cli.report.loss_text import (
+from rtc_cli.report.losses.text import (
     CLASS_RULE,
     COSTS_MEANING,
     RECOVERED_MEANING,
     control_alarms,
     main_protocol,
 )
-from rtc_cli.report.losses import MARGIN
 from rtc_cli.report.sections import Results, as_table, capital
 from rtc_cli.report.selection import fixed_protocols
 from rtc_cli.report.tables import ALL, Row, pick

@@ -1,0 +1,1 @@
+"""Where success is lost under delay: costs, classes, recovered fractions, their figures."""
