@@ -7,6 +7,7 @@ every worker process. Folders, tables and pictures show the short name, "kinetix
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -24,8 +25,11 @@ def is_level(task: str) -> bool:
 
 
 def level_path(task: str) -> Path:
-    """The path that a level's name holds."""
-    return Path(task.removeprefix(PREFIX)).expanduser()
+    """The path that a level's name holds; UsageError for the home of a user who does not exist."""
+    try:
+        return Path(task.removeprefix(PREFIX)).expanduser()
+    except RuntimeError as error:
+        raise UsageError(f'"{task}": {error}', "write the path without ~") from error
 
 
 def short_name(task: str) -> str:
@@ -69,13 +73,13 @@ def expand(tasks: Iterable[str]) -> tuple[str, ...]:
                 f'"{other}" and "{task}" would both be called {short_name(task)}',
                 "rename one of the files",
             )
-    return tuple(found)
+    return tuple(dict.fromkeys(found))
 
 
 def _expanded(task: str) -> list[str]:
     if task == PREFIX:
         raise UsageError(f'"{task}" names no level', "write kinetix:PATH_OR_FOLDER")
-    path = level_path(task).absolute()
+    path = Path(os.path.normpath(level_path(task).absolute()))
     if not path.is_dir():
         return [f"{PREFIX}{path}"]
     files = sorted(path.glob(f"*{SUFFIX}"))

@@ -120,6 +120,8 @@ def _changed(
 
     content = recipe.model_dump(mode="json", exclude_none=True)
     content["eval"] |= {name: value for name, value in changes.items() if value is not None}
+    pushed, episodes = content["eval"]["reaction_episodes"], content["eval"]["episodes"]
+    content["eval"]["reaction_episodes"] = min(pushed, episodes)
     content["eval"]["pinv"] |= {n: value for n, value in guidance.items() if value is not None}
     if changes["methods"] is not None:
         content["eval"].pop("tune", None)

@@ -12,7 +12,7 @@ import typer
 from rtc_cli.cli.options import JsonOption, RunOption
 from rtc_cli.cli.output import output, progress
 from rtc_cli.errors import UsageError, did_you_mean
-from rtc_cli.levels import expand, is_level
+from rtc_cli.levels import expand
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -53,9 +53,10 @@ def tasks(
         typer.Option(
             "--by",
             metavar="WHO",
-            help="Who acts: controller (written by hand), random, or a method such as naive, "
-            "with a run's checkpoints; several, as in naive,prefix, are shown side by side in the "
-            "same episode.  [default: controller (random for a level file), or naive with --run]",
+            help="Who acts: controller (written by hand, for some tasks), random, or a method such "
+            "as naive, with a run's checkpoints; several, as in naive,prefix, are shown side by "
+            "side in the same episode.  [default: controller (random where there is none), or "
+            "naive with --run]",
         ),
     ] = None,
     run: RunOption = None,
@@ -84,6 +85,7 @@ def tasks(
 ) -> None:
     """List, describe and render the tasks."""
     from rtc_cli.tasks import get_task, list_tasks
+    from rtc_cli.tasks.library import has_controller
 
     with output(as_json) as out:
         names = list_tasks() if name is None else expand([name])
@@ -99,7 +101,7 @@ def tasks(
         if not render:
             out.result({"schema": 1, **_description(scene)}, *_description_parts(scene))
             return
-        scripted = "random" if is_level(name) else CONTROLLER
+        scripted = CONTROLLER if has_controller(scene.name) else "random"
         actors = _actors(by or (scripted if run is None else "naive"))
         s = exec_horizon if exec_horizon is not None else max(delay, 1)
         record = partial(_trace, scene, run, train_seed, delay, s, episode)

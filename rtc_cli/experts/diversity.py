@@ -9,8 +9,13 @@ import numpy as np
 from rtc_cli.experts.policy import ExpertPolicy, mlp, normalise
 
 
-def hellinger_distances(experts: Sequence[ExpertPolicy], observations: np.ndarray) -> np.ndarray:
+def hellinger_distances(
+    experts: Sequence[ExpertPolicy], observations: np.ndarray, policy_std: float = 1.0
+) -> np.ndarray:
     """(E, E) Hellinger distances of the experts' action distributions, mean over (n, O) states.
+
+    `policy_std` scales the experts' own standard deviations; with 0 each has one action a state,
+    and two that differ are at a distance of 1.
 
     0: the two act alike; 1: no action of one is possible for the other. Actions are squashed
     Gaussians behind one common squashing, which leaves the distance that of the Gaussians:
@@ -19,7 +24,9 @@ def hellinger_distances(experts: Sequence[ExpertPolicy], observations: np.ndarra
     """
     obs = jnp.asarray(observations, jnp.float32)
     means = jnp.stack([mlp(e.layers, normalise(obs, e.obs_mean, e.obs_std)) for e in experts])
-    std = jnp.exp(jnp.stack([expert.log_std for expert in experts]))[:, None]
+    if policy_std == 0.0:
+        return np.asarray((means[:, None] != means[None]).any(axis=-1).mean(axis=-1), np.float64)
+    std = policy_std * jnp.exp(jnp.stack([expert.log_std for expert in experts]))[:, None]
     return np.asarray(_distances(means, std), np.float64)
 
 

@@ -42,11 +42,22 @@ PREFIX = "prefix"
 
 
 def train_expert(folder: Path, task: str, seed: int, progress: Progress) -> None:
-    """Train one PPO expert of a task and keep it with its record `<seed>.json`."""
+    """Train one PPO expert of a task and keep it with its record `<seed>.json`.
+
+    StateError where the expert of another version of the task is there.
+    """
     run = open_run(folder)
     target = run.experts(task) / str(seed)
     record = run.experts(task) / f"{seed}.json"
+    scene = get_task(task)
     if record.is_file():
+        known = read_json(record, "record of an expert").get("scene", scene.digest)
+        if known != scene.digest:
+            raise StateError(
+                f"{target} is an expert of another version of task {short_name(task)}: scene "
+                f"{known[:12]}, now {scene.digest[:12]}",
+                "restore the task, or start a new run",
+            )
         return
     from rtc_cli.experts.ppo import train_expert as train
 
@@ -55,13 +66,14 @@ def train_expert(folder: Path, task: str, seed: int, progress: Progress) -> None
         note = f"success {success:.2f}" if success is not None else "success ?"
         progress(state["steps"], state["max_steps"], f"{note}, {state['steps_per_s']:,.0f} steps/s")
 
-    result = train(get_task(task), run.recipe.experts, seed, progress=on_rollout)
+    result = train(scene, run.recipe.experts, seed, progress=on_rollout)
     if not target.exists():
         result.policy.save(target)
     write_json(
         record,
         {
             "task": short_name(task),
+            "scene": scene.digest,
             "seed": seed,
             "success": result.success,
             "steps": result.steps,
@@ -100,7 +112,9 @@ def measure_diversity(folder: Path, task: str, train_seed: int, progress: Progre
 
     observations = EpisodeStore.open(run.data(task, train_seed)).observations
     rows = np.linspace(0, len(observations) - 1, min(DIVERSITY_STATES, len(observations)))
-    distances = hellinger_distances(mixture(run, task), observations[rows.astype(int)])
+    distances = hellinger_distances(
+        mixture(run, task), observations[rows.astype(int)], run.recipe.data.policy_std
+    )
     record = {
         "task": short_name(task),
         "experts": len(distances),

@@ -64,7 +64,7 @@ def load_run(run_folder: Path | str) -> RunInputs:
         profile=_read_json(folder / PROFILE) or {},
         training=_read_all(folder / TRAINING, "*.json", {"task", "epochs", "loss"}),
         experts=_read_all(folder / "experts", "**/*.json", {"task", "seed", "success"}),
-        diversity=_read_all(folder / DIVERSITY, "*.json", {"task", "mean_distance"}),
+        diversity=load_diversity(folder),
     )
 
 
@@ -111,3 +111,8 @@ def _read_json(path: Path) -> dict[str, Any] | None:
 def _read_all(folder: Path, pattern: str, needed: set[str]) -> list[dict[str, Any]]:
     records = (_read_json(path) for path in sorted(folder.glob(pattern)))
     return [record for record in records if record is not None and needed <= set(record)]
+
+
+def load_diversity(folder: Path) -> list[dict[str, Any]]:
+    """Read how differently the experts of each task act in a run's data; empty if unmeasured."""
+    return _read_all(folder / DIVERSITY, "*.json", {"task", "experts", "mean_distance"})

@@ -1,6 +1,6 @@
 """The sections of a run's report; each function returns one, and says what is missing."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -528,24 +528,19 @@ def _seconds(value: Any) -> str:
     return _short(float(sum(value)) if isinstance(value, list) else value)
 
 
+DIVERSITY = (
+    "Diversity of the mixture: the Hellinger distance between the action distributions of two "
+    "experts on the same states of the data, mean over states and pairs. 0: they act alike; "
+    "1: no action of one is possible for the other."
+)
+
+
 def experts(run: RunInputs) -> Section:
     """Show the experts that made the data."""
     title = "Experts"
     if not run.experts:
         return Section("experts", title, [Note("No expert records in this run.")])
     least = float(run.recipe.get("experts", {}).get("min_success", 0.65))
-    acting = _acting(run, least)
-    lines = [
-        [
-            task_label(str(record["task"])),
-            str(record["seed"]),
-            points(float(record["success"])),
-            f"{int(record['steps']):,}" if record.get("steps") is not None else "-",
-            _short(record.get("seconds")),
-            "yes" if (record["task"], record["seed"]) in acting else "no",
-        ]
-        for record in sorted(run.experts, key=lambda record: (record["task"], record["seed"]))
-    ]
     text = (
         "Experts are trained with reinforcement learning; a random one of them acts in each "
         f"episode of the data. Those below {points(least)}% success are left out"
@@ -555,9 +550,29 @@ def experts(run: RunInputs) -> Section:
     std = _data_setting(run, "policy_std")
     if std is not None and std != 1:
         text += f" They act with {std:g} times their own standard deviation."
-    columns = ["task", "seed", "success (%)", "steps", "seconds", "in the data"]
-    blocks: list[Block] = [Paragraph(text), Table(columns, lines)]
-    return Section("experts", title, blocks + _diversity(run))
+    blocks: list[Block] = [Paragraph(text), _expert_table(run, _acting(run, least))]
+    found = [[task, count, far] for task, count, far in map(_distance, run.diversity) if far]
+    if found:
+        blocks += [Paragraph(DIVERSITY), Table(["task", "experts", "distance"], found)]
+    return Section("experts", title, blocks)
+
+
+def _expert_table(run: RunInputs, acting: Collection[tuple[str, int]] | None = None) -> Table:
+    """Return the experts' records; with `acting`, a column says who made the data."""
+    columns = ["task", "seed", "success (%)", "steps", "seconds"]
+    lines = []
+    for record in sorted(run.experts, key=lambda record: (record["task"], record["seed"])):
+        line = [
+            task_label(str(record["task"])),
+            str(record["seed"]),
+            points(float(record["success"])),
+            f"{int(record['steps']):,}" if record.get("steps") is not None else "-",
+            _short(record.get("seconds")),
+        ]
+        if acting is not None:
+            line.append("yes" if (record["task"], record["seed"]) in acting else "no")
+        lines.append(line)
+    return Table(columns if acting is None else [*columns, "in the data"], lines)
 
 
 def _acting(run: RunInputs, least: float) -> set[tuple[str, int]]:
@@ -575,21 +590,32 @@ def _data_setting(run: RunInputs, name: str) -> Any:
     return run.recipe.get("data", {}).get(name)
 
 
-def _diversity(run: RunInputs) -> list[Block]:
-    """Show how differently the experts of each task act."""
-    lines = [
-        [str(found["task"]), str(found["experts"]), f"{found['mean_distance']:.2f}"]
-        for found in run.diversity
-        if found["mean_distance"] is not None
-    ]
-    if not lines:
-        return []
+def _distance(found: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Return task, number of experts and mean distance, "" for a single expert."""
+    far = found["mean_distance"]
+    return str(found["task"]), str(found["experts"]), "" if far is None else f"{far:.2f}"
+
+
+def experts_of_settings(
+    run: RunInputs, mixtures: Sequence[tuple[str, Sequence[Mapping[str, Any]]]]
+) -> Section:
+    """Show the experts of a grid, and how differently those of each setting (name, records) act."""
+    if not run.experts:
+        return Section("experts", "Experts", [Note("No expert records in this run.")])
     text = (
-        "Diversity of the mixture: the Hellinger distance between the action distributions of two "
-        "experts on the same states of the data, mean over states and pairs. 0: they act alike; "
-        "1: no action of one is possible for the other."
+        "Experts are trained with reinforcement learning and shared by all settings, which differ "
+        "in who of them acts, or how randomly."
     )
-    return [Paragraph(text), Table(["task", "experts", "distance"], lines)]
+    blocks: list[Block] = [Paragraph(text), _expert_table(run)]
+    found = [
+        [name, task, count, far]
+        for name, records in mixtures
+        for task, count, far in map(_distance, records)
+        if far
+    ]
+    if found:
+        blocks += [Paragraph(DIVERSITY), Table(["setting", "task", "experts", "distance"], found)]
+    return Section("experts", "Experts", blocks)
 
 
 # -- provenance ------------------------------------------------------------------------------

@@ -118,8 +118,8 @@ def _mean_row(group: list[Row], metrics: list[str]) -> Row:
     above = math.hypot(*(row["success_high"] - row["success"] for row in group)) / len(group)
     means = {}
     for name in metrics:
-        values = [row[name] for row in group if row[name] is not None]
-        means[name] = float(np.mean(values)) if values else None
+        values = [row[name] for row in group]
+        means[name] = None if None in values else float(np.mean(values))
     return group[0] | {
         "task": ALL,
         "episodes": sum(row["episodes"] for row in group),

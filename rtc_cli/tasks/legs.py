@@ -9,13 +9,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rtc_cli.tasks.scene import Body, Box, Circle, Motor, Observe, Pivot, Vec
+from rtc_cli.tasks.scene import NOTHING, Body, Box, Circle, Motor, Observe, Pivot, Vec
 
 BONE_WIDTH = 0.07  # m
 FRICTION = 1.2  # of feet and of the ground
 PARTS = 1  # collision group: the parts of a runner do not touch each other
 TORSO, FEET, GROUND, AROUND = 1, 2, 4, 8  # collision categories
-NOTHING = 0  # collision mask of what touches nothing
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,6 +27,7 @@ from rtc_cli.tasks.measuring import COMPONENTS, apply_jitter, values
 from rtc_cli.tasks.scene_checks import check_scene
 
 WORLD = "world"
+NOTHING = 0  # collision mask of what touches nothing
 SUBSTEPS = 2
 SUBSTEP_S = 1.0 / 60.0
 SOLVER_ITERATIONS = 10
@@ -191,7 +192,6 @@ class Body:
     angular_velocity: float = 0.0
     static: bool = False
     rotates: bool = True
-    color: str = field(default="", metadata={"looks": True})
 
     @property
     def centre(self) -> Vec:

@@ -36,6 +36,14 @@ def test_equal_means_and_stds_by_hand() -> None:
     assert found == pytest.approx(found.T)
     assert found[0, 1] == pytest.approx(np.sqrt(1 - np.exp(-(2.0**2) / 8)), rel=1e-5)
     assert found[0, 2] == pytest.approx(np.sqrt(1 - np.sqrt(2 * 3 / 10)), rel=1e-5)
+    narrow = hellinger_distances(apart, STATES, policy_std=0.5)
+    assert narrow[0, 1] == pytest.approx(np.sqrt(1 - np.exp(-((2.0 / 0.5) ** 2) / 8)), rel=1e-5)
+    assert narrow[0, 2] == pytest.approx(found[0, 2], rel=1e-5)
+    assert hellinger_distances(apart, STATES, policy_std=0.0).tolist() == [
+        [0.0, 1.0, 0.0],
+        [1.0, 0.0, 1.0],
+        [0.0, 1.0, 0.0],
+    ]
 
 
 def test_two_dimensions_against_integration() -> None:

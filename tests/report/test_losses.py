@@ -159,6 +159,7 @@ def test_no_fraction_of_a_cost_that_may_be_zero_or_negative(synthetic: ModuleTyp
     [
         ({}, "control-limited"),
         ({"oracle": [55, 57, 56]}, "information-limited"),
+        ({name: [3, 3, 3] for name in ("closed", "open", "oracle", "naive")}, "undecided"),
         ({"oracle": [71, 70, 73]}, "undecided"),
         ({"naive": [89, 90, 91], "oracle": [90, 90, 92]}, "insensitive"),
         # A loss of 1 to 9 points, with an interval from below 0 to above the margin.
@@ -193,6 +194,7 @@ def test_the_negative_control_is_loud_when_it_breaks(
     assert {row["task"] for row in rows} == {"grasp", "catapult"}
     assert {row["method"] for row in rows} == {"pinv", "pinv-tuned", "prefix", "oracle"}
     assert control_alarms(rows) == []
+    assert {row["delay"] for row in rows} == {1, 2, 3, 4}
     broken = episodes.copy()
     hit = broken.eval('task == "grasp" and method == "pinv" and delay == 2 and episode < 10')
     broken.loc[hit, "solved"] = False

@@ -13,7 +13,7 @@ import pytest
 from rtc_cli.errors import StateError
 from rtc_cli.pipeline.grid import open_runs
 from rtc_cli.recipe import load_recipe
-from rtc_cli.report.grid.rows import effect_rows, grid_differences, headroom, load_grid
+from rtc_cli.report.grid.rows import effect_rows, grid_differences, load_grid
 from rtc_cli.report.grid.text import grid_answer
 from rtc_cli.report.page import build_report
 from rtc_cli.report.tables import ALL, pick
@@ -131,7 +131,7 @@ def test_several_seeds_are_paired_by_seed(synthetic: ModuleType, tmp_path: Path)
 def test_sentences_follow_from_the_numbers(run: Run) -> None:
     grid = load_grid(run.folder, recipe_of(run))
     gaps, effects, factors = grid_differences(grid), effect_rows(grid), list(grid.factors)
-    text = grid_answer(gaps, effects, "fixed:4", factors, 0.5)
+    text = grid_answer(gaps, effects, "fixed:4", factors)
     assert "at d = 0 better in 0 and worse in 0 of 18; at d = 4 better in 18" in text[0]
     assert "from +2.0 points" in text[1]
     assert (
@@ -143,21 +143,8 @@ def test_sentences_follow_from_the_numbers(run: Run) -> None:
     assert "One training seed only" in text[-1]
     still = [row | {"delay": 4, "exec_horizon": 4} for row in pick(effects, delay=0)]
     assert "No factor clearly changes naive's success" in " ".join(
-        grid_answer(gaps, still, "fixed:4", factors, None)
+        grid_answer(gaps, still, "fixed:4", factors)
     )
-
-
-def test_headroom_is_the_correlation_of_fall_and_gain(run: Run) -> None:
-    from rtc_cli.report.grid.rows import grid_summary
-
-    grid = load_grid(run.folder, recipe_of(run))
-    found = headroom(grid_summary(grid), grid_differences(grid), "fixed:4", list(grid.factors))
-    falls, gains = [], []
-    for values in itertools.product((1, 4), (0.0, 0.5, 1.0), (0.0, 0.1, 0.2)):
-        naive = made_up(*values, "naive", 4)
-        falls.append(made_up(*values, "naive", 0) - naive)
-        gains.append(made_up(*values, "prefix", 4) - naive)
-    assert found == pytest.approx(np.corrcoef(falls, gains)[0, 1])
 
 
 def test_the_report_is_built_from_any_side(run: Run) -> None:

@@ -62,6 +62,21 @@ def weld_target_to_hull(level: Content) -> None:
     level["env_state"]["joint"][1]["a_relative_pos"] = {"0": 0, "1": 0}
 
 
+def two_hinges_on_one_point(level: Content) -> None:
+    """The hull hangs by one point on two places of the floor, 0.8 m apart."""
+    level["env_state"]["polygon"][0]["position"] = {"0": 2.0, "1": 1.7}
+    hinge = level["env_state"]["joint"][1] | {"a_index": 0, "b_index": 1, "is_fixed_joint": False}
+    at = {"b_relative_pos": {"0": 0.0, "1": 0.0}}
+    level["env_state"]["joint"] = [
+        hinge | at | {"a_relative_pos": {"0": x, "1": 0.3}} for x in (-0.4, 0.4)
+    ] + level["env_state"]["joint"][2:]
+
+
+def passing_by(level: Content) -> None:
+    for shape in (level["env_state"]["polygon"][1], level["env_state"]["circle"][1]):
+        shape["collision_mode"] = 0
+
+
 def without_drives(level: Content) -> None:
     level["env_state"]["joint"][0]["motor_on"] = False
     for thruster in level["env_state"]["thruster"]:
@@ -102,7 +117,9 @@ BROKEN: dict[str, tuple[Change, str]] = {
     "half a corner": (put("polygon[1].n_vertices", 3.5), "n_vertices is 3.5; a whole number"),
     "not convex": (dented, r"polygon\[1\].vertices .* convex"),
     "a star": (star, r"polygon\[1\].vertices .* convex"),
-    "anticlockwise": (anticlockwise, r"polygon\[1\].vertices .*"),
+    "anticlockwise": (anticlockwise, r"polygon\[1\].vertices .*anticlockwise"),
+    "joints that contradict each other": (two_hinges_on_one_point, r"joint\[\d\]: .* contradict"),
+    "goal and target pass each other": (passing_by, "collision_mode: no shape of role 1 touches"),
     "unknown role": (put("polygon[1].role", 4), r"polygon\[1\].role is 4; 0 to 3"),
     "unknown collision mode": (put("polygon[1].collision_mode", 3), "collision_mode is 3; 0 to 2"),
     "motor binding out of range": (put("joint[0].motor_binding", 4), "motor_binding is 4; 0 to 3"),

@@ -13,13 +13,12 @@ from rtc_cli.report.grid.rows import (
     effect_rows,
     grid_differences,
     grid_summary,
-    headroom,
     last_cell,
     require,
     settings_of,
 )
 from rtc_cli.report.grid.tables import effects_grid, settings_grid
-from rtc_cli.report.grid.text import QUESTION, factor_name, grid_answer, value_text
+from rtc_cli.report.grid.text import QUESTION, factor_name, grid_answer, setting_text, value_text
 from rtc_cli.report.inputs import RunInputs
 from rtc_cli.report.selection import fits_protocol
 from rtc_cli.report.tables import ALL, Row, main_flow_steps, pick
@@ -40,8 +39,7 @@ def grid_document(
     gaps = pick(grid_differences(grid), flow_steps=steps)
     effects, settings = effect_rows(grid), settings_of(grid)
     protocols = list(dict.fromkeys(row["protocol"] for row in rows))
-    correlation = headroom(rows, gaps, protocols[0], list(grid.factors)) if gaps else None
-    answer = grid_answer(gaps, effects, protocols[0], list(grid.factors), correlation)
+    answer = grid_answer(gaps, effects, protocols[0], list(grid.factors))
     document = Document(
         title=f"Ablation: {run.name}",
         subtitle=subtitle,
@@ -51,7 +49,9 @@ def grid_document(
             _setup(grid, run),
             *(_results(rows, gaps, grid, settings, protocol) for protocol in protocols),
             *(_effects(effects, protocol) for protocol in protocols),
-            sections.experts(run),
+            sections.experts_of_settings(
+                run, [(setting_text(settings), found) for settings, found in grid.mixtures]
+            ),
             sections.provenance(run),
             sections.glossary(),
         ],

@@ -15,9 +15,9 @@ import pandas as pd
 from rtc_cli.errors import StateError
 from rtc_cli.files import os_error
 from rtc_cli.recipe import Recipe, load_recipe
-from rtc_cli.report.inputs import load_episodes
+from rtc_cli.report.inputs import load_diversity, load_episodes
 from rtc_cli.report.selection import fits_protocol, prepare
-from rtc_cli.report.tables import ALL, Row, differences, estimate_gap, pick, summarise
+from rtc_cli.report.tables import ALL, Row, differences, estimate_gap, summarise
 
 FOLDER = "variants"
 NOISE = "action_noise"
@@ -30,11 +30,13 @@ class GridEpisodes:
     """The episodes of a grid ablation, setting by setting.
 
     `factors` holds the values of each factor that has at least two, in the recipe's order; `parts`
-    the episodes of each setting that was evaluated.
+    the episodes of each setting that was evaluated; `mixtures` the settings of each combination
+    and how differently its experts act in its data (one record per task).
     """
 
     factors: Mapping[str, Sequence[Any]]
     parts: Sequence[tuple[Mapping[str, Any], pd.DataFrame]] = field(default_factory=tuple)
+    mixtures: Sequence[tuple[Mapping[str, Any], Sequence[dict[str, Any]]]] = ()
 
     @property
     def count(self) -> int:
@@ -58,22 +60,26 @@ def load_grid(folder: Path, recipe: Mapping[str, Any]) -> GridEpisodes:
     if len(noises) > 1:
         factors[NOISE] = noises
     parts: list[tuple[Mapping[str, Any], pd.DataFrame]] = []
-    for own, rows in _runs(folder):
+    mixtures: list[tuple[Mapping[str, Any], Sequence[dict[str, Any]]]] = []
+    for place, own in _runs(folder):
+        rows = load_episodes(place)
         values = {key: _value(own, key) for key in grid}
         asked = all(value in grid[key] for key, value in values.items())
         if asked and not rows.empty:
             settings = {key: value for key, value in values.items() if key in factors}
             parts.extend(_by_noise(settings, rows, noises))
-    return GridEpisodes(factors, tuple(sorted(parts, key=lambda part: _place(part[0], factors))))
+            mixtures.append((settings, load_diversity(place)))
+    parts.sort(key=lambda part: _place(part[0], factors))
+    return GridEpisodes(factors, tuple(parts), tuple(mixtures))
 
 
-def _runs(folder: Path) -> Iterator[tuple[Recipe, pd.DataFrame]]:
+def _runs(folder: Path) -> Iterator[tuple[Path, Recipe]]:
     try:
         recipes = sorted((folder / FOLDER).glob("[!.]*/recipe.toml"))
     except OSError as error:
         raise os_error(error, folder / FOLDER) from error
     for path in recipes:
-        yield load_recipe(path), load_episodes(path.parent)
+        yield path.parent, load_recipe(path)
 
 
 def _value(recipe: Recipe, key: str) -> Any:
@@ -202,29 +208,6 @@ def _estimates(contrast: pd.DataFrame, every_task: set[str]) -> Iterator[Row]:
         estimate = estimate_gap(contrast, members)
         if estimate is not None:
             yield {"task": name, **estimate}
-
-
-def headroom(
-    rows: Sequence[Row], gaps: Sequence[Row], protocol: str, factors: Sequence[str]
-) -> float | None:
-    """Return the correlation, over settings, of naive's fall and what prefix wins over it.
-
-    From d = 0 to the largest delay, mean of the tasks; None with fewer than 4 settings.
-    """
-    cell = last_cell(gaps, protocol)
-    mine = pick(rows, task=ALL, train_seed=ALL, method="naive", protocol=protocol)
-    pairs = []
-    for gap in pick(gaps, task=ALL, method="prefix", baseline="naive", **cell):
-        setting = {key: gap[key] for key in factors}
-        start = pick(mine, delay=0, **setting)
-        end = pick(mine, **cell, **setting)
-        if start and end:
-            pairs.append((start[0]["success"] - end[0]["success"], gap["difference"]))
-    if len(pairs) < 4:
-        return None
-    falls, gains = (pd.Series(column) for column in zip(*pairs, strict=True))
-    found = float(falls.corr(gains))
-    return None if pd.isna(found) else found
 
 
 def require(grid: GridEpisodes, folder: Path) -> None:

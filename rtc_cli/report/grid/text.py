@@ -37,7 +37,6 @@ def grid_answer(
     effects: Sequence[Row],
     protocol: str,
     factors: Sequence[str],
-    correlation: float | None,
 ) -> list[str]:
     """Return when conditioning helps, in sentences computed from the rows of one protocol.
 
@@ -55,11 +54,6 @@ def grid_answer(
             sentences += [_counts(pair), _range(pick(pair, **cell), factors)]
             sentences += _changes(pick(effects, method=method, baseline=baseline, **cell))
     sentences += _changes(pick(effects, method="naive", baseline=None, **cell))
-    if correlation is not None:
-        sentences.append(
-            "Over the settings, what prefix wins over naive at that delay and what naive lost to "
-            f"the delay have a correlation of {correlation:+.2f}."
-        )
     return [*sentences, difference_interval_text(mine)]
 
 

@@ -51,9 +51,12 @@ COSTS: dict[str, dict[str, float]] = {
 }
 CONTROL, INFORMATION = "control-limited", "information-limited"
 INSENSITIVE, UNDECIDED = "insensitive", "undecided"
+EQUAL, OPEN, DIFFERENT = "equal", "open", "different"
 CLASSES = (CONTROL, INFORMATION, INSENSITIVE, UNDECIDED)
 MARGIN = 0.05
 """Half-width of the zone that counts as "no loss": 5 percentage points."""
+FLOOR = 0.25
+"""Below this success without delay, at s, a task has too little to lose to be classified."""
 LARGEST_DELAY = 4
 """Tasks are classified at the largest evaluated delay up to this one (control steps)."""
 
@@ -145,8 +148,8 @@ def decomposition_rows(cells: Iterable[LossCell]) -> list[Row]:
 
     All levels are counted on the same episodes. Intervals are those of `estimate_gap`: paired by
     training seed, or with one seed paired by episode (`interval` is "checkpoints"). The open-loop
-    cost is null where S(0, 1) was not evaluated. `delay_cost` is irreducible + avoidable,
-    `balance` is avoidable - irreducible.
+    cost is null where S(0, 1) was not evaluated on all of them. `delay_cost` is irreducible +
+    avoidable, `balance` is avoidable - irreducible.
     """
     return [
         {"task": name, **cell.keys, **row}
@@ -166,7 +169,8 @@ def _cost_row(cell: LossCell, tasks: list[str]) -> Row | None:
     for level in LEVELS:
         row[f"success_{level}"] = number(cell.mean_gap({level: 1.0}, tasks, seeds).mean())
     for name, weights in COSTS.items():
-        row |= _named(name, cell.estimate(weights, tasks))
+        whole = np.array_equal(cell.shared(tasks, weights), seeds)
+        row |= _named(name, cell.estimate(weights, tasks) if whole else None)
     count = int(seeds.sum())
     return row | {"seeds": count, "interval": "seeds" if count > 1 else "checkpoints"}
 
@@ -271,9 +275,10 @@ def class_rows(decomposition: Sequence[Row], *, margin: float = MARGIN) -> list[
 
     The rule looks at naive and the oracle only, at the largest evaluated d ≤ 4, in this order:
 
-    1. `insensitive`: the interval of the delay cost S(0, s) - S(d, s) lies within ± `margin`.
-    2. `undecided`: that interval does not lie above 0, so no loss is established.
-    3. `control-limited`: the interval of avoidable - irreducible lies above 0;
+    1. `undecided`: S(0, s) is below `FLOOR`; what is never solved cannot be lost.
+    2. `insensitive`: the interval of the delay cost S(0, s) - S(d, s) lies within ± `margin`.
+    3. `undecided`: that interval does not lie above 0, so no loss is established.
+    4. `control-limited`: the interval of avoidable - irreducible lies above 0;
        `information-limited`: it lies below 0; `undecided`: it contains 0.
     """
     protocols = fixed_protocols(list(dict.fromkeys(row["protocol"] for row in decomposition)))
@@ -300,7 +305,7 @@ def _class_row(row: Row, margin: float) -> Row:
 
 def _class_of(row: Row, margin: float) -> str:
     low, high = row["delay_cost_low"], row["delay_cost_high"]
-    if low is None or high is None:
+    if low is None or high is None or row["success_open_loop"] < FLOOR:
         return UNDECIDED
     if equivalent(Interval(row["delay_cost"], low, high), margin):
         return INSENSITIVE
@@ -314,9 +319,10 @@ def _class_of(row: Row, margin: float) -> str:
 def control_rows(episodes: pd.DataFrame, classes: Sequence[Row]) -> list[Row]:
     """Compare every method with naive on the insensitive tasks: the negative control.
 
-    Rows are those of `differences` for the cells with d ≤ 4 of the protocol in which the task is
-    insensitive, with `equal`: the interval contains 0 or lies within the margin. `sync` is no part
-    of it (waiting is another loss), nor are combinations that nobody trained for (`base+prefix`).
+    Rows are those of `differences` for the cells with 0 < d ≤ 4 of the protocol in which the task
+    is insensitive, with `verdict`: "equal" where the interval lies within the margin, "different"
+    where it lies outside, "open" where it does neither. `sync` is no part of it (waiting is another
+    loss), nor are combinations that nobody trained for (`base+prefix`).
     """
     tasks = {(row["task"], row["protocol"]): row for row in pick(classes, **{"class": INSENSITIVE})}
     if not tasks:
@@ -328,14 +334,15 @@ def control_rows(episodes: pd.DataFrame, classes: Sequence[Row]) -> list[Row]:
     found: list[Row] = []
     for (task, protocol), kind in tasks.items():
         for gap in pick(gaps, task=task, flow_steps=kind["flow_steps"]):
-            if fits_protocol(gap, protocol) and gap["delay"] <= LARGEST_DELAY:
-                equal = _equal(gap, kind["margin"])
-                found.append({**gap, "protocol": protocol, "equal": equal})
+            if fits_protocol(gap, protocol) and 0 < gap["delay"] <= LARGEST_DELAY:
+                verdict = _verdict(gap, kind["margin"])
+                found.append({**gap, "protocol": protocol, "verdict": verdict})
     return found
 
 
-def _equal(gap: Row, margin: float) -> bool:
+def _verdict(gap: Row, margin: float) -> str:
     if gap["low"] is None or gap["high"] is None:
-        return True  # nothing is known, so nothing speaks against it
-    inside = equivalent(Interval(gap["difference"], gap["low"], gap["high"]), margin)
-    return inside or gap["low"] <= 0 <= gap["high"]
+        return OPEN
+    if equivalent(Interval(gap["difference"], gap["low"], gap["high"]), margin):
+        return EQUAL
+    return DIFFERENT if gap["low"] > margin or gap["high"] < -margin else OPEN

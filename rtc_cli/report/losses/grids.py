@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rtc_cli.levels import task_label
-from rtc_cli.report.losses.costs import CLASSES, INSENSITIVE, NAIVE
+from rtc_cli.report.losses.costs import CLASSES, DIFFERENT, INSENSITIVE, NAIVE
 from rtc_cli.report.losses.text import control_alarms
 from rtc_cli.report.render import Grid, rich_table
 from rtc_cli.report.selection import method_order
@@ -151,7 +151,7 @@ def control_grid(rows: Sequence[Row]) -> Grid:
 
 def _control(row: Row) -> str:
     text = points(row["difference"], sign=True)
-    text = text if row["equal"] else f"**{text}**"
+    text = f"**{text}**" if row["verdict"] == DIFFERENT else text
     return f"{text} {interval(row['low'], row['high'], sign=True)}"
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from rtc_cli.levels import task_label
 from rtc_cli.report.document import Block, Fold, Note, Paragraph, Picture, Section, Table
 from rtc_cli.report.losses import figures as loss_figures
-from rtc_cli.report.losses.costs import MARGIN
+from rtc_cli.report.losses.costs import DIFFERENT, EQUAL, FLOOR, MARGIN
 from rtc_cli.report.losses.grids import (
     ADD_UP,
     classes_grid,
@@ -35,7 +35,8 @@ STACKED_CAPTION = (
 )
 SEAM_CAPTION = (
     "One point per method and delay, mean over tasks; the number is the delay. Measured reaction: "
-    "control steps from a push until the executed actions differ from those of an undisturbed twin."
+    "control steps from a push until the executed actions differ from those of an undisturbed "
+    "twin, mean of the episodes in which they do before the end."
 )
 
 
@@ -60,7 +61,7 @@ def losses(results: Results) -> Section:
     if not results.decomposition:
         note = (
             "The losses were not taken apart: that needs the method `oracle` (a reference) in "
-            "`eval.methods`."
+            "`eval.methods`, and no more than one `eval.action_noise`."
         )
         return Section("losses", title, [Note(note)])
     alarms: list[Block] = [Note(f"**{text}**") for text in control_alarms(results.controls)]
@@ -94,7 +95,7 @@ def _protocol_blocks(results: Results, protocol: str) -> list[Block]:
         tables = [as_table(costs_grid(costs, classes, d), f"At d = {d}.") for d in others]
         blocks.append(Fold("Costs at the other delays", tables))
     if classes:
-        rule = CLASS_RULE.format(margin=100 * MARGIN)
+        rule = CLASS_RULE.format(margin=100 * MARGIN, floor=100 * FLOOR)
         blocks += [Paragraph(rule), as_table(classes_grid(results.classes, protocol))]
     return blocks
 
@@ -139,12 +140,12 @@ def _control_blocks(results: Results) -> list[Block]:
             )
         ]
     names = ", ".join(dict.fromkeys(task_label(row["task"]) for row in results.controls))
-    held = all(row["equal"] for row in results.controls)
-    verdict = "All methods are equal to naive there" if held else "**It does not hold**"
+    counts = {v: sum(row["verdict"] == v for row in results.controls) for v in (EQUAL, DIFFERENT)}
     text = (
         f"**Negative control** ({names}): delay costs nothing there, so no method may win or lose. "
-        f"{verdict} (the interval contains 0 or lies within ± {100 * MARGIN:g} points; `sync` is "
-        "no part of it, since waiting is another loss)."
+        f"Of {len(results.controls)} comparisons with naive, {counts[EQUAL]} are equal (the "
+        f"interval lies within ± {100 * MARGIN:g} points), {counts[DIFFERENT]} differ (it lies "
+        "outside), the others are open. `sync` is no part of it, since waiting is another loss."
     )
     tables = [
         as_table(control_grid(pick(results.controls, protocol=protocol)), f"Protocol {protocol}.")

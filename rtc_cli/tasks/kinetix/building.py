@@ -49,6 +49,7 @@ MARGIN_M = 0.15
 SPEED_SCALE = 3.0  # m/s
 SPIN_SCALE = 10.0  # rad/s
 MAX_GAP_M = 0.5  # joints whose ends lie further apart are refused
+CLOSED_M = 1e-3  # m that may be left of a gap once it is closed
 MAX_TWIST = 0.05  # rad, of a fixed joint at the start
 SWEEPS = 200
 
@@ -101,6 +102,17 @@ def _check_roles(level: Level) -> None:
                 level,
                 f"joints connect {names} (roles 1 and 2 or 3): their contact is not supported",
             )
+    pairs = itertools.product(by_role[Role.GOAL], by_role[Role.TARGET])
+    if not any(
+        _touch(level.shapes[goal], level.shapes[target])
+        and (_moves(level.shapes[goal]) or _moves(level.shapes[target]))
+        for goal, target in pairs
+    ):
+        raise _refuse(
+            level,
+            "collision_mode: no shape of role 1 touches one of role 2 of which one can move, so it "
+            "cannot be solved",
+        )
 
 
 def _with_role(level: Level, role: Role) -> list[int]:
@@ -137,13 +149,18 @@ def _masks(level: Level) -> list[int]:
     numbers = list(level.shapes)
 
     def touch(one: int, other: int) -> bool:
-        modes = level.shapes[one].mode, level.shapes[other].mode
-        return group[one] != group[other] and (2 in modes or 0 not in modes)
+        return group[one] != group[other] and _touch(level.shapes[one], level.shapes[other])
 
     return [
         sum(1 << bit for bit, other in enumerate(numbers) if touch(number, other))
         for number in numbers
     ]
+
+
+def _touch(one: LevelShape, other: LevelShape) -> bool:
+    """Whether two shapes that no joints connect touch, by their collision modes."""
+    modes = one.mode, other.mode
+    return 2 in modes or 0 not in modes
 
 
 def _turned(point: Vec, angle: float) -> StateArray:
@@ -181,6 +198,15 @@ def _closed(level: Level) -> dict[int, StateArray]:
         step = (end_b - end_a) / sum(inverse)
         places[joint.a] = places[joint.a] + inverse[0] * step
         places[joint.b] = places[joint.b] - inverse[1] * step
+    for joint in _acting(level):
+        end_a, end_b = _ends(level, joint, places)
+        gap = float(np.hypot(*(end_b - end_a)))
+        if gap > CLOSED_M:
+            raise _refuse(
+                level,
+                f"{joint.place}: its ends stay {gap:.3f} m apart, whatever is moved; the joints of "
+                "the level contradict each other",
+            )
     return places
 
 

@@ -17,15 +17,25 @@ Controller = Callable[[FloatArray], FloatArray]
 """Observations (n, O) -> physical actions (n, A)."""
 
 
+def has_controller(task: str) -> bool:
+    """Whether a task has a hand-written controller."""
+    return _find_controller(task) is not None
+
+
 def get_controller(task: str) -> Controller:
     """The hand-written controller of a built-in task; UsageError where there is none."""
-    name = f"{__name__}.{task}"
-    found: Controller | None = None
-    if task.isidentifier() and find_spec(name) is not None:
-        found = getattr(importlib.import_module(name), "controller", None)
+    found = _find_controller(task)
     if found is None:
         raise UsageError(
             f'task "{task}" has no controller written by hand; only some built-in tasks have one.',
             "let random actions or a trained method act",
         )
+    return found
+
+
+def _find_controller(task: str) -> Controller | None:
+    name = f"{__name__}.{task}"
+    if not task.isidentifier() or find_spec(name) is None:
+        return None
+    found: Controller | None = getattr(importlib.import_module(name), "controller", None)
     return found

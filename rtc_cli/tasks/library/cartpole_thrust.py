@@ -35,6 +35,7 @@ import math
 import numpy as np
 
 from rtc_cli.tasks.scene import (
+    NOTHING,
     WORLD,
     Action,
     Body,
@@ -64,7 +65,6 @@ THRUST_N = 10.0
 _HINGE_Y = CART_HEIGHT / 2
 _TOP_Y = _HINGE_Y + POLE_LENGTH + 0.15
 _PARTS = 1  # collision group of what is fixed to the cart
-_NOTHING = 0  # collision mask of what touches nothing
 
 
 def _spike(side: int) -> Polygon:
@@ -83,7 +83,7 @@ def _post(name: str, x: float, height: float, role: Role) -> Body:
 
 def _bodies() -> tuple[Body, ...]:
     rail = Box(width=TARGET_X + 8, height=0.04, offset=(TARGET_X / 2, -0.04))
-    box = Box(width=CART_WIDTH, height=CART_HEIGHT, density=3.7, group=_PARTS, mask=_NOTHING)
+    box = Box(width=CART_WIDTH, height=CART_HEIGHT, density=3.7, group=_PARTS, mask=NOTHING)
     rod = Box(
         width=0.06, height=POLE_LENGTH, offset=(0, POLE_LENGTH / 2), density=2.0, role=Role.GOAL
     )

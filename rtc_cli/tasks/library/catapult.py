@@ -39,6 +39,7 @@ from __future__ import annotations
 
 import math
 
+from rtc_cli.tasks.carts import side_thrusters
 from rtc_cli.tasks.scene import (
     WORLD,
     Action,
@@ -53,7 +54,6 @@ from rtc_cli.tasks.scene import (
     Pivot,
     Role,
     Scene,
-    Thruster,
     Vec,
 )
 
@@ -140,17 +140,6 @@ def _bodies() -> tuple[Body, ...]:
     )
 
 
-def _thruster(action: str, side: int) -> Thruster:
-    """A thruster at one side of the basket that pushes to the other side."""
-    return Thruster(
-        body="basket",
-        action=action,
-        max_force=THRUST_N,
-        point=(side * BASKET_WIDTH / 2, 0.0),
-        direction=(-float(side), 0.0),
-    )
-
-
 SCENE = Scene(
     name="catapult",
     description=__doc__ or "",
@@ -173,7 +162,7 @@ SCENE = Scene(
         Action(name="push_right", low=0.0),
         Action(name="push_left", low=0.0),
     ),
-    thrusters=(_thruster("push_right", -1), _thruster("push_left", 1)),
+    thrusters=side_thrusters("basket", BASKET_WIDTH / 2, THRUST_N),
     observations=(
         Observe(kind="angle", body="arm"),
         Observe(kind="angular_velocity", body="arm"),

@@ -38,7 +38,9 @@ import math
 
 import numpy as np
 
+from rtc_cli.tasks.carts import side_thrusters
 from rtc_cli.tasks.scene import (
+    NOTHING,
     WORLD,
     Action,
     Body,
@@ -54,7 +56,6 @@ from rtc_cli.tasks.scene import (
     Role,
     Scene,
     Segment,
-    Thruster,
 )
 
 CART_WIDTH = 0.9
@@ -75,7 +76,6 @@ _HINGE_Y = CART_HEIGHT / 2
 _CUP_Y = _HINGE_Y + STEM_LENGTH
 _RAMP_END_Y = _CUP_Y + 1.8
 _PARTS = 1  # collision group of what is fixed to the cart
-_NOTHING = 0  # collision mask of what touches nothing
 
 
 def _spike(side: int) -> Polygon:
@@ -132,7 +132,7 @@ def _cup() -> tuple[Box, ...]:
 
 
 def _moving() -> tuple[Body, ...]:
-    box = Box(width=CART_WIDTH, height=CART_HEIGHT, density=3.7, group=_PARTS, mask=_NOTHING)
+    box = Box(width=CART_WIDTH, height=CART_HEIGHT, density=3.7, group=_PARTS, mask=NOTHING)
     rod = Box(
         width=0.06, height=STEM_LENGTH, offset=(0.0, STEM_LENGTH / 2), density=2.0, role=Role.GOAL
     )
@@ -142,17 +142,6 @@ def _moving() -> tuple[Body, ...]:
         Body(name="cart", position=start, rotates=False, shapes=(box, _spike(1), _spike(-1))),
         Body(name="stem", position=start, shapes=(rod, *_cup())),
         Body(name="ball", position=_on_ramp(RAMP_LENGTH - 0.2, BALL_RADIUS + 0.03), shapes=(ball,)),
-    )
-
-
-def _thruster(action: str, side: int) -> Thruster:
-    """A thruster at one side of the cart that pushes to the other side."""
-    return Thruster(
-        body="cart",
-        action=action,
-        max_force=THRUST_N,
-        point=(side * CART_WIDTH / 2, 0.0),
-        direction=(-float(side), 0.0),
     )
 
 
@@ -171,7 +160,7 @@ SCENE = Scene(
         Pivot(a="cart", b="stem", anchor=(0.0, _HINGE_Y), collide=True),
     ),
     actions=(Action(name="push_right", low=0.0), Action(name="push_left", low=0.0)),
-    thrusters=(_thruster("push_right", -1), _thruster("push_left", 1)),
+    thrusters=side_thrusters("cart", CART_WIDTH / 2, THRUST_N),
     observations=(
         Observe(kind="x", body="cart"),
         Observe(kind="vx", body="cart"),

@@ -41,6 +41,7 @@ from __future__ import annotations
 
 import math
 
+from rtc_cli.tasks.carts import side_thrusters
 from rtc_cli.tasks.scene import (
     WORLD,
     Action,
@@ -57,7 +58,6 @@ from rtc_cli.tasks.scene import (
     Scene,
     Segment,
     Spring,
-    Thruster,
 )
 
 TARGET_X = 5.0
@@ -190,17 +190,6 @@ def _knuckle(finger: str) -> Motor:
     return Motor(a="cart", b=finger, action=finger, max_rate=FINGER_RATE, max_torque=FINGER_TORQUE)
 
 
-def _thruster(action: str, side: int) -> Thruster:
-    """A thruster at one side of the cart that pushes to the other side."""
-    return Thruster(
-        body="cart",
-        action=action,
-        max_force=THRUST_N,
-        point=(side * 0.15, 0.0),
-        direction=(-float(side), 0.0),
-    )
-
-
 SCENE = Scene(
     name="grasp",
     description=__doc__ or "",
@@ -218,7 +207,7 @@ SCENE = Scene(
         Action(name="right_finger"),
         Action(name="flap", low=-FLAP_RANGE, high=FLAP_RANGE),
     ),
-    thrusters=(_thruster("push_right", -1), _thruster("push_left", 1)),
+    thrusters=side_thrusters("cart", 0.15, THRUST_N),
     observations=(
         Observe(kind="position", body="ball"),
         Observe(kind="velocity", body="ball"),

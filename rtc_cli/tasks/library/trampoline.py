@@ -39,7 +39,9 @@ from __future__ import annotations
 
 import math
 
+from rtc_cli.tasks.carts import side_thrusters
 from rtc_cli.tasks.scene import (
+    NOTHING,
     WORLD,
     Action,
     Body,
@@ -53,7 +55,6 @@ from rtc_cli.tasks.scene import (
     Pivot,
     Role,
     Scene,
-    Thruster,
 )
 
 TARGET_X = 3.5
@@ -73,7 +74,6 @@ DROP = 0.1  # m from which the ball falls, and to which it bounces
 SPEED = 0.6  # m/s of the ball to the right, at the start
 
 _RAIL_Y = -0.1
-_NOTHING = 0  # collision mask of what touches nothing
 
 
 def _surroundings() -> tuple[Body, ...]:
@@ -89,7 +89,7 @@ def _surroundings() -> tuple[Body, ...]:
 
 
 def _moving() -> tuple[Body, ...]:
-    frame = Box(width=CART_WIDTH, height=0.1, density=CART_KG / (0.1 * CART_WIDTH), mask=_NOTHING)
+    frame = Box(width=CART_WIDTH, height=0.1, density=CART_KG / (0.1 * CART_WIDTH), mask=NOTHING)
     bed = Box(
         width=BED_WIDTH,
         height=0.06,
@@ -113,17 +113,6 @@ def _moving() -> tuple[Body, ...]:
     )
 
 
-def _thruster(action: str, side: int) -> Thruster:
-    """A thruster at one side of the cart that pushes to the other side."""
-    return Thruster(
-        body="cart",
-        action=action,
-        max_force=THRUST_N,
-        point=(side * CART_WIDTH / 2, 0.0),
-        direction=(-float(side), 0.0),
-    )
-
-
 SCENE = Scene(
     name="trampoline",
     description=__doc__ or "",
@@ -144,7 +133,7 @@ SCENE = Scene(
         Action(name="push_left", low=0.0),
         Action(name="tilt", low=-TILT_RANGE, high=TILT_RANGE),
     ),
-    thrusters=(_thruster("push_right", -1), _thruster("push_left", 1)),
+    thrusters=side_thrusters("cart", CART_WIDTH / 2, THRUST_N),
     observations=(
         Observe(kind="relative_position", body="cart", other="ball", scale=0.2),
         Observe(kind="velocity", body="ball"),

@@ -1,0 +1,26 @@
+"""What tasks with something on a rail share."""
+
+from __future__ import annotations
+
+from rtc_cli.tasks.scene import Thruster
+
+
+def side_thrusters(body: str, half_width: float, max_force: float) -> tuple[Thruster, Thruster]:
+    """Thrusters (N at most) at both sides of a body: actions "push_right" and "push_left".
+
+    Each is on one side, `half_width` (m) from the body's origin, and pushes to the other side.
+    """
+    return (
+        _thruster(body, "push_right", -1.0, half_width, max_force),
+        _thruster(body, "push_left", 1.0, half_width, max_force),
+    )
+
+
+def _thruster(body: str, action: str, side: float, half_width: float, force: float) -> Thruster:
+    return Thruster(
+        body=body,
+        action=action,
+        max_force=force,
+        point=(side * half_width, 0.0),
+        direction=(-side, 0.0),
+    )
