@@ -53,15 +53,15 @@ from rtc_cli.tasks.scene import (
 LINK_LENGTH = 0.3
 LINK_WIDTH = 0.12
 LINK_KG = 0.1
-TARGET = (3.3, 1.25)
-TARGET_RADIUS = 0.18
-SCREW_N = 1.2
-JOINT_RATE = 2.0  # rad/s
+TARGET = (3.2, 1.65)
+TARGET_RADIUS = 0.2
+SCREW_N = 0.8
+JOINT_RATE = 1.0  # rad/s
 JOINT_TORQUE = 0.3  # N·m
 JOINT_LIMIT = 0.35  # rad
 DAMPING = 0.15  # share of the speed that is left after a second without thrust
 
-POOL = (-1.6, -1.0, 3.75, 2.0)  # m, left, bottom, right, top: inner edges of the walls
+POOL = (-1.6, -1.0, 3.8, 2.4)  # m, left, bottom, right, top: inner edges of the walls
 
 _CHAIN = 1  # collision group: the links do not touch each other
 _LINKS = ("head", "middle", "tail")
