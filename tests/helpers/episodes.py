@@ -110,12 +110,21 @@ class Solver:
         The average of tanh over the policy's Gaussian, by quadrature: the tanh of the average is
         another, harder policy, and solves less.
         """
+        spread = np.exp(self._arrays["log_std"])[:, None] * self._points
+        share = 0.5 * (np.tanh(self._mean(obs)[..., None] + spread) @ self._shares + 1.0)
+        return self._low + share * (self._high - self._low)
+
+    def sampled(self, obs: FloatArray, random: np.random.Generator) -> np.ndarray:
+        """Actions (n, A) drawn from the policy, as experts act when they make data."""
+        mean = self._mean(obs)
+        spread = np.exp(self._arrays["log_std"]) * random.standard_normal(mean.shape)
+        share = 0.5 * (np.tanh(mean + spread) + 1.0)
+        return self._low + share * (self._high - self._low)
+
+    def _mean(self, obs: FloatArray) -> np.ndarray:
         arrays = self._arrays
         x = np.clip((obs - arrays["obs_mean"]) / arrays["obs_std"], -10.0, 10.0)
         last = sum(name.startswith("weights") for name in arrays) - 1
         for layer in range(last):
             x = np.tanh(x @ arrays[f"weights{layer}"] + arrays[f"bias{layer}"])
-        mean = x @ arrays[f"weights{last}"] + arrays[f"bias{last}"]
-        spread = np.exp(arrays["log_std"])[:, None] * self._points
-        share = 0.5 * (np.tanh(mean[..., None] + spread) @ self._shares + 1.0)
-        return self._low + share * (self._high - self._low)
+        return x @ arrays[f"weights{last}"] + arrays[f"bias{last}"]

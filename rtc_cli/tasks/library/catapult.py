@@ -1,20 +1,20 @@
 """Throw a ball with a long arm, and have the basket under it when it comes down.
 
 A motor at its foot swings an arm of 2.5 m over, against a stop shortly before upright. A ball lies
-in a cup at the arm's end and flies on. A basket, as wide as two balls and a half, is pushed along a
-rail without friction by a thruster on each side. Solved when the ball touches the basket. Failed
-when the ball falls on the ground.
+in a cup at the arm's end and flies on. A basket, as wide as two balls, is pushed along a rail
+without friction by a thruster on each side. Solved when the ball touches the basket. Failed when
+the ball falls on the ground.
 
-What makes it dynamic: the arm's motor follows its command at once, and the noise of its action
-(σ = 0.1, as everywhere) is half of the largest command. The ball leaves the cup where the arm jerks
+What makes it dynamic: the arm's motor follows its command at once, and the noise of its action (σ =
+0.1, as everywhere) is a third of the largest command. The ball leaves the cup where the arm jerks
 back, at a speed that the noise of the last few steps has decided. Where it will come down is not
 known before, and soon after it is there, faster than the heavy basket can go far: delay costs
 information here.
 
 Time constant: none in the usual sense, no mode grows by itself. What counts is the flight: at
-full swing the ball comes down 9 control steps after it left the cup, at 0.67 m from the arm's foot,
-give or take 0.43 m (means, standard deviation). In 9 steps a basket at rest gets 0.51 m far, in 5
-only 0.15 m. All measured. A solved episode takes about 65 control steps.
+full swing the ball comes down 9 control steps after it left the cup, at 0.89 m from the arm's foot,
+give or take 0.25 m (means, standard deviation). In 9 steps a basket at rest gets 0.25 m far, in 5
+only 0.08 m. All measured. A solved episode takes about 60 control steps.
 
 | observation | unit | range |
 | --- | --- | --- |
@@ -27,9 +27,9 @@ only 0.15 m. All measured. A solved episode takes about 65 control steps.
 
 | action | unit | range |
 | --- | --- | --- |
-| swing | fraction of 9.5 rad/s | 0 to 0.19 |
-| push_right | fraction of 12 N | 0 to 1 |
-| push_left | fraction of 12 N | 0 to 1 |
+| swing | fraction of 6 rad/s | 0 to 0.3 |
+| push_right | fraction of 6 N | 0 to 1 |
+| push_left | fraction of 6 N | 0 to 1 |
 
 The arm's angle counts from pointing right, anticlockwise; it starts a little below pointing left,
 and a positive swing turns it clockwise.

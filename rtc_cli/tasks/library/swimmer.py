@@ -2,15 +2,15 @@
 
 Three links in a row, with motors at the two joints, lie in a pool seen from above: no gravity, and
 water that takes away speed. A screw at the end of the tail pushes along the tail; the angle of the
-joints turns the chain, and nothing else does. Solved when any link touches the float, 3.3 m ahead
-and 1.25 m to the left. Failed when a link touches a wall of the pool.
+joints turns the chain, and nothing else does. Solved when any link touches the float, 3.2 m ahead
+and 1.65 m to the left. Failed when a link touches a wall of the pool.
 
 What makes it dynamic: the screw pushes from behind, the chain turns only while it swims, and a
 bend of the joints stays until a motor takes it back. A bend on its own would move the chain
 nowhere: the water slows all directions alike, so that no stroke can push it off.
 
 Time constant: nothing is unstable. Without thrust speed and turning fall by e in 0.53 s (16
-control steps), measured. A solved episode takes about 90 control steps. This is the suite's
+control steps), measured. A solved episode takes about 125 control steps. This is the suite's
 negative control: an action that is 0.13 s old is as good as a fresh one, and every method must come
 out equal.
 
@@ -25,9 +25,9 @@ out equal.
 
 | action | unit | range |
 | --- | --- | --- |
-| screw | fraction of 1.2 N | 0 to 1 |
-| bend_neck | fraction of 2 rad/s | −1 to 1 |
-| bend_tail | fraction of 2 rad/s | −1 to 1 |
+| screw | fraction of 0.8 N | 0 to 1 |
+| bend_neck | fraction of 1 rad/s | −1 to 1 |
+| bend_tail | fraction of 1 rad/s | −1 to 1 |
 
 Angles count anticlockwise from ahead. The joints' own speed is not observed: the motors hold it at
 what the last action asked for.
