@@ -1,7 +1,8 @@
 """Legs for tasks that walk and run: a thigh, a shin and a round foot, with motors at hip and knee.
 
 Legs touch the ground only, torsos everything but the ground. That keeps contacts few, and a torso
-can be failed well above the ground.
+can be failed well above the ground. The way to the post, and the wall that comes from behind, are
+here too.
 """
 
 from __future__ import annotations
@@ -9,7 +10,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from rtc_cli.tasks.scene import NOTHING, Body, Box, Circle, Motor, Observe, Pivot, Vec
+from rtc_cli.tasks.scene import (
+    NOTHING,
+    WORLD,
+    Action,
+    Body,
+    Box,
+    Circle,
+    Groove,
+    Jitter,
+    Motor,
+    Observe,
+    Pivot,
+    Role,
+    Vec,
+)
 
 BONE_WIDTH = 0.07  # m
 FRICTION = 1.2  # of feet and of the ground
@@ -133,4 +148,70 @@ def ground(left: float, right: float) -> Box:
         friction=FRICTION,
         category=GROUND,
         mask=FEET,
+    )
+
+
+def bar(target_x: float, y: float) -> Box:
+    """A hazard along the whole way, for the torso only."""
+    return Box(
+        width=target_x + 6.0,
+        height=0.02,
+        offset=(target_x / 2, y),
+        role=Role.HAZARD,
+        category=AROUND,
+        mask=TORSO,
+    )
+
+
+def post(x: float, height: float) -> Body:
+    """The post to reach, from the ground up."""
+    shape = Box(
+        width=0.1,
+        height=height,
+        offset=(0.0, height / 2),
+        role=Role.TARGET,
+        category=AROUND,
+        mask=TORSO,
+    )
+    return Body(name="post", static=True, position=(x, 0.0), shapes=(shape,))
+
+
+def wall(place: Vec, height: float, speed: float) -> Body:
+    """The wall that comes from behind at `speed` (m/s); it needs a `wall_rail`."""
+    shape = Box(
+        width=0.1, height=height, density=10.0, role=Role.HAZARD, category=AROUND, mask=TORSO
+    )
+    return Body(name="wall", position=place, velocity=(speed, 0.0), rotates=False, shapes=(shape,))
+
+
+def wall_rail(place: Vec) -> Groove:
+    """The rail of the wall that stands at `place`."""
+    x, y = place
+    return Groove(a=WORLD, b="wall", start=(x - 1.0, y), end=(x + 5.0, y), anchor=place)
+
+
+def actions(*legs: Leg) -> tuple[Action, ...]:
+    """Hip and knee of each leg."""
+    return tuple(Action(name=motor.action) for leg in legs for motor in leg.motors())
+
+
+def observations(*legs: Leg) -> tuple[Observe, ...]:
+    """Torso, legs, and where the wall is."""
+    return (
+        Observe(kind="position", body="torso"),
+        Observe(kind="velocity", body="torso"),
+        Observe(kind="angle", body="torso"),
+        Observe(kind="angular_velocity", body="torso"),
+        *(entry for leg in legs for entry in leg.observations()),
+        Observe(kind="x", body="wall"),
+    )
+
+
+def jitters(*legs: Leg, place: float, swing: float) -> tuple[Jitter, ...]:
+    """Where the machine stands (m) and how, how each leg is set (rad), and where the wall is."""
+    names = [name for leg in legs for name in leg.names]
+    return (
+        Jitter(bodies=("torso", *names), position=(place, 0.0), angle=0.03, velocity=(0.1, 0.0)),
+        *(Jitter(bodies=leg.names, angle=swing) for leg in legs),
+        Jitter(bodies=("wall",), position=(0.1, 0.0)),
     )

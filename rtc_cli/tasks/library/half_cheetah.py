@@ -44,16 +44,12 @@ stretch it.
 
 from __future__ import annotations
 
-from rtc_cli.tasks.legs import AROUND, PARTS, TORSO, Leg, ground
+from rtc_cli.tasks import legs
+from rtc_cli.tasks.legs import AROUND, PARTS, TORSO, Leg
 from rtc_cli.tasks.scene import (
-    WORLD,
-    Action,
     Body,
     Box,
     Distance,
-    Groove,
-    Jitter,
-    Observe,
     Role,
     Scene,
 )
@@ -64,8 +60,7 @@ TORSO_KG = 2.0
 TARGET_X = 1.8
 BAR_Y = 0.2
 CEILING_Y = 0.85
-WALL_X = -1.2
-WALL_Y = 0.53
+WALL = (-1.2, 0.53)  # m, its middle at the start
 WALL_SPEED = 0.25  # m/s
 
 
@@ -91,39 +86,12 @@ HIND, FRONT = _leg("hind", -0.3), _leg("front", 0.3)
 HIP_Y = HIND.reach + 0.02  # the jitter of the legs needs some room
 
 
-def _bar(y: float) -> Box:
-    """A hazard along the whole way."""
-    return Box(
-        width=TARGET_X + 6.0,
-        height=0.02,
-        offset=(TARGET_X / 2, y),
-        role=Role.HAZARD,
-        category=AROUND,
-        mask=TORSO,
-    )
-
-
 def _surroundings() -> tuple[Body, ...]:
-    post = Box(
-        width=0.1,
-        height=CEILING_Y,
-        offset=(0.0, CEILING_Y / 2),
-        role=Role.TARGET,
-        category=AROUND,
-        mask=TORSO,
-    )
-    wall = Box(width=0.1, height=0.6, density=10.0, role=Role.HAZARD, category=AROUND, mask=TORSO)
-    track = (ground(-3.0, TARGET_X + 3.0), _bar(BAR_Y), _bar(CEILING_Y))
+    bars = (legs.bar(TARGET_X, BAR_Y), legs.bar(TARGET_X, CEILING_Y))
     return (
-        Body(name="track", static=True, shapes=track),
-        Body(name="post", static=True, position=(TARGET_X, 0.0), shapes=(post,)),
-        Body(
-            name="wall",
-            position=(WALL_X, WALL_Y),
-            velocity=(WALL_SPEED, 0.0),
-            rotates=False,
-            shapes=(wall,),
-        ),
+        Body(name="track", static=True, shapes=(legs.ground(-3.0, TARGET_X + 3.0), *bars)),
+        legs.post(TARGET_X, height=CEILING_Y),
+        legs.wall(WALL, height=0.6, speed=WALL_SPEED),
     )
 
 
@@ -145,39 +113,15 @@ SCENE = Scene(
     description=__doc__ or "",
     bodies=(*_surroundings(), _torso(), *HIND.bodies(HIP_Y), *FRONT.bodies(HIP_Y)),
     joints=(
-        Groove(
-            a=WORLD,
-            b="wall",
-            start=(WALL_X - 1.0, WALL_Y),
-            end=(WALL_X + 5.0, WALL_Y),
-            anchor=(WALL_X, WALL_Y),
-        ),
+        legs.wall_rail(WALL),
         *HIND.hinges(HIP_Y),
         *FRONT.hinges(HIP_Y),
     ),
     motors=(*HIND.motors(), *FRONT.motors()),
-    actions=tuple(Action(name=motor.action) for leg in (HIND, FRONT) for motor in leg.motors()),
-    observations=(
-        Observe(kind="position", body="torso"),
-        Observe(kind="velocity", body="torso"),
-        Observe(kind="angle", body="torso"),
-        Observe(kind="angular_velocity", body="torso"),
-        *HIND.observations(),
-        *FRONT.observations(),
-        Observe(kind="x", body="wall"),
-    ),
+    actions=legs.actions(HIND, FRONT),
+    observations=legs.observations(HIND, FRONT),
     progress_terms=(Distance(observation="torso.position", target=(TARGET_X, HIP_Y)),),
     progress_scale=1.0,
-    jitters=(
-        Jitter(
-            bodies=("torso", *HIND.names, *FRONT.names),
-            position=(0.1, 0.0),
-            angle=0.03,
-            velocity=(0.1, 0.0),
-        ),
-        Jitter(bodies=HIND.names, angle=0.15),
-        Jitter(bodies=FRONT.names, angle=0.15),
-        Jitter(bodies=("wall",), position=(0.1, 0.0)),
-    ),
+    jitters=legs.jitters(HIND, FRONT, place=0.1, swing=0.15),
     view=(-1.5, -0.15, TARGET_X + 0.3, 1.0),
 )

@@ -42,16 +42,12 @@ from its thigh. Positive hip rates swing a leg forward, positive knee rates stre
 
 from __future__ import annotations
 
-from rtc_cli.tasks.legs import AROUND, PARTS, TORSO, Leg, ground
+from rtc_cli.tasks import legs
+from rtc_cli.tasks.legs import AROUND, PARTS, TORSO, Leg
 from rtc_cli.tasks.scene import (
-    WORLD,
-    Action,
     Body,
     Box,
     Distance,
-    Groove,
-    Jitter,
-    Observe,
     Role,
     Scene,
 )
@@ -61,8 +57,7 @@ TORSO_HEIGHT = 0.45
 TORSO_KG = 2.0
 TARGET_X = 2.0
 BAR_Y = 0.3
-WALL_X = -1.1
-WALL_Y = 0.75
+WALL = (-1.1, 0.75)  # m, its middle at the start
 WALL_SPEED = 0.18  # m/s
 
 
@@ -89,29 +84,11 @@ HIP_Y = max(LEFT.reach, RIGHT.reach) + 0.02  # the jitter of the legs needs some
 
 
 def _surroundings() -> tuple[Body, ...]:
-    left, right = -3.0, TARGET_X + 3.0
-    bar = Box(
-        width=right - left,
-        height=0.02,
-        offset=(TARGET_X / 2, BAR_Y - 0.01),
-        role=Role.HAZARD,
-        category=AROUND,
-        mask=TORSO,
-    )
-    post = Box(
-        width=0.1, height=1.6, offset=(0.0, 0.8), role=Role.TARGET, category=AROUND, mask=TORSO
-    )
-    wall = Box(width=0.1, height=1.3, density=10.0, role=Role.HAZARD, category=AROUND, mask=TORSO)
+    track = (legs.ground(-3.0, TARGET_X + 3.0), legs.bar(TARGET_X, BAR_Y - 0.01))
     return (
-        Body(name="ground", static=True, shapes=(ground(left, right), bar)),
-        Body(name="post", static=True, position=(TARGET_X, 0.0), shapes=(post,)),
-        Body(
-            name="wall",
-            position=(WALL_X, WALL_Y),
-            velocity=(WALL_SPEED, 0.0),
-            rotates=False,
-            shapes=(wall,),
-        ),
+        Body(name="ground", static=True, shapes=track),
+        legs.post(TARGET_X, height=1.6),
+        legs.wall(WALL, height=1.3, speed=WALL_SPEED),
     )
 
 
@@ -134,39 +111,15 @@ SCENE = Scene(
     description=__doc__ or "",
     bodies=(*_surroundings(), _torso(), *LEFT.bodies(HIP_Y), *RIGHT.bodies(HIP_Y)),
     joints=(
-        Groove(
-            a=WORLD,
-            b="wall",
-            start=(WALL_X - 1.0, WALL_Y),
-            end=(WALL_X + 5.0, WALL_Y),
-            anchor=(WALL_X, WALL_Y),
-        ),
+        legs.wall_rail(WALL),
         *LEFT.hinges(HIP_Y),
         *RIGHT.hinges(HIP_Y),
     ),
     motors=(*LEFT.motors(), *RIGHT.motors()),
-    actions=tuple(Action(name=motor.action) for leg in (LEFT, RIGHT) for motor in leg.motors()),
-    observations=(
-        Observe(kind="position", body="torso"),
-        Observe(kind="velocity", body="torso"),
-        Observe(kind="angle", body="torso"),
-        Observe(kind="angular_velocity", body="torso"),
-        *LEFT.observations(),
-        *RIGHT.observations(),
-        Observe(kind="x", body="wall"),
-    ),
+    actions=legs.actions(LEFT, RIGHT),
+    observations=legs.observations(LEFT, RIGHT),
     progress_terms=(Distance(observation="torso.position", target=(TARGET_X, HIP_Y)),),
     progress_scale=1.0,
-    jitters=(
-        Jitter(
-            bodies=("torso", *LEFT.names, *RIGHT.names),
-            position=(0.05, 0.0),
-            angle=0.03,
-            velocity=(0.1, 0.0),
-        ),
-        Jitter(bodies=LEFT.names, angle=0.2),
-        Jitter(bodies=RIGHT.names, angle=0.2),
-        Jitter(bodies=("wall",), position=(0.1, 0.0)),
-    ),
+    jitters=legs.jitters(LEFT, RIGHT, place=0.05, swing=0.2),
     view=(-1.4, -0.15, TARGET_X + 0.4, 1.65),
 )
