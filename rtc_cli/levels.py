@@ -73,7 +73,7 @@ def expand(tasks: Iterable[str]) -> tuple[str, ...]:
                 f'"{other}" and "{task}" would both be called {short_name(task)}',
                 "rename one of the files",
             )
-    return tuple(dict.fromkeys(found))
+    return tuple(found)
 
 
 def _expanded(task: str) -> list[str]:

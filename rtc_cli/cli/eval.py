@@ -140,7 +140,7 @@ def _tasks(text: str | None, recipe: Recipe) -> tuple[str, ...]:
     if text is None:
         return recipe.tasks
     known = {short_name(task): task for task in recipe.tasks}
-    asked = [short_name(task) for task in expand(split_names(text))]
+    asked = dict.fromkeys(short_name(task) for task in expand(split_names(text)))
     return tuple(known[name] for name in check_names(asked, known, "task of this run"))
 
 

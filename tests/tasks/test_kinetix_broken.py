@@ -64,7 +64,7 @@ def weld_target_to_hull(level: Content) -> None:
 
 def two_hinges_on_one_point(level: Content) -> None:
     """The hull hangs by one point on two places of the floor, 0.8 m apart."""
-    level["env_state"]["polygon"][0]["position"] = {"0": 2.0, "1": 1.7}
+    level["env_state"]["polygon"][0] |= {"position": {"0": 2.0, "1": 1.7}, "role": 0}
     hinge = level["env_state"]["joint"][1] | {"a_index": 0, "b_index": 1, "is_fixed_joint": False}
     at = {"b_relative_pos": {"0": 0.0, "1": 0.0}}
     level["env_state"]["joint"] = [

@@ -10,7 +10,7 @@ in the pose until it is corrected. Each step leaves the torso on one foot, from 
 and only the next step in the right place catches it. Standing still fails too: the wall arrives.
 
 Time constant: balanced on one foot, the other leg drawn up and the motors at rest, a tilt grows by
-e in 0.35 s (10 control steps), computed. A solved episode takes about 120 control steps, 12 of
+e in 0.35 s (10 control steps), computed. A solved episode takes about 105 control steps, 11 of
 these.
 
 | observation | unit | range |
