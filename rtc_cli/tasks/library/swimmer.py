@@ -9,10 +9,10 @@ What makes it dynamic: the screw pushes from behind, the chain turns only while 
 bend of the joints stays until a motor takes it back. A bend on its own would move the chain
 nowhere: the water slows all directions alike, so that no stroke can push it off.
 
-Time constant: nothing is unstable. Without thrust speed and turning fall by e in 0.53 s (16
-control steps), measured. A solved episode takes about 125 control steps. This is the suite's
-negative control: an action that is 0.13 s old is as good as a fresh one, and every method must come
-out equal.
+Time constant: nothing is unstable. Without thrust speed and turning fall by e in 0.53 s (16 control
+steps), measured. A solved episode takes about 125 control steps. It is meant as the suite's
+negative control, on which an action that is 0.13 s old is nearly as good as a fresh one; how near
+is in the results.
 
 | observation | unit | range |
 | --- | --- | --- |
