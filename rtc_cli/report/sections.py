@@ -528,13 +528,6 @@ def _seconds(value: Any) -> str:
     return _short(float(sum(value)) if isinstance(value, list) else value)
 
 
-DIVERSITY = (
-    "Diversity of the mixture: the Hellinger distance between the action distributions of two "
-    "experts on the same states of the data, mean over states and pairs. 0: they act alike; "
-    "1: no action of one is possible for the other."
-)
-
-
 def experts(run: RunInputs) -> Section:
     """Show the experts that made the data."""
     title = "Experts"
@@ -550,11 +543,9 @@ def experts(run: RunInputs) -> Section:
     std = _data_setting(run, "policy_std")
     if std is not None and std != 1:
         text += f" They act with {std:g} times their own standard deviation."
-    blocks: list[Block] = [Paragraph(text), _expert_table(run, _acting(run, least))]
-    found = [[task, count, far] for task, count, far in map(_distance, run.diversity) if far]
-    if found:
-        blocks += [Paragraph(DIVERSITY), Table(["task", "experts", "distance"], found)]
-    return Section("experts", title, blocks)
+    table = _expert_table(run, _acting(run, least))
+    diversity = _diversity([], [([], run.diversity)])
+    return Section("experts", title, [Paragraph(text), table, *diversity])
 
 
 def _expert_table(run: RunInputs, acting: Collection[tuple[str, int]] | None = None) -> Table:
@@ -590,12 +581,6 @@ def _data_setting(run: RunInputs, name: str) -> Any:
     return run.recipe.get("data", {}).get(name)
 
 
-def _distance(found: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return task, number of experts and mean distance, "" for a single expert."""
-    far = found["mean_distance"]
-    return str(found["task"]), str(found["experts"]), "" if far is None else f"{far:.2f}"
-
-
 def experts_of_settings(
     run: RunInputs, mixtures: Sequence[tuple[str, Sequence[Mapping[str, Any]]]]
 ) -> Section:
@@ -606,16 +591,28 @@ def experts_of_settings(
         "Experts are trained with reinforcement learning and shared by all settings, which differ "
         "in who of them acts, or how randomly."
     )
-    blocks: list[Block] = [Paragraph(text), _expert_table(run)]
-    found = [
-        [name, task, count, far]
-        for name, records in mixtures
-        for task, count, far in map(_distance, records)
-        if far
+    diversity = _diversity(["setting"], [([name], records) for name, records in mixtures])
+    return Section("experts", "Experts", [Paragraph(text), _expert_table(run), *diversity])
+
+
+def _diversity(
+    columns: list[str], mixtures: Sequence[tuple[list[str], Sequence[Mapping[str, Any]]]]
+) -> list[Block]:
+    """Show how differently the experts of each mixture act; `columns` name its first cells."""
+    lines = [
+        [*cells, str(found["task"]), str(found["experts"]), f"{found['mean_distance']:.2f}"]
+        for cells, records in mixtures
+        for found in records
+        if found["mean_distance"] is not None  # a single expert has nobody to differ from
     ]
-    if found:
-        blocks += [Paragraph(DIVERSITY), Table(["setting", "task", "experts", "distance"], found)]
-    return Section("experts", "Experts", blocks)
+    if not lines:
+        return []
+    text = (
+        "Diversity of the mixture: the Hellinger distance between the action distributions of two "
+        "experts on the same states of the data, mean over states and pairs. 0: they act alike; "
+        "1: no action of one is possible for the other."
+    )
+    return [Paragraph(text), Table([*columns, "task", "experts", "distance"], lines)]
 
 
 # -- provenance ------------------------------------------------------------------------------

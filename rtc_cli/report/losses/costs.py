@@ -5,7 +5,7 @@ method `oracle` (a plain policy that is shown the state predicted without noise)
 
 - open-loop cost   S(0, 1) - S(0, s): what acting on old observations costs without any delay;
 - irreducible cost S(0, s) - S_oracle(d, s): what even the predicted state does not win back;
-- avoidable cost   S_oracle(d, s) - S(d, s): what a better use of the committed actions could win;
+- avoidable cost   S_oracle(d, s) - S(d, s): what that prediction wins back;
 - recovered fraction of a method m: (S_m(d, s) - S(d, s)) / (S_oracle(d, s) - S(d, s)).
 
 The three costs and S(d, s) add up to S(0, 1). All rates are 0 to 1; each cost may be negative.

@@ -2,7 +2,7 @@
 
 Bars of the stacked figure run from 0 to 100% of the episodes: success of naive, avoidable,
 irreducible and open-loop cost, and what is not solved without any delay. A negative part is a
-hatched strip over the parts that it overlaps, so that bars stay within 100% and nothing is hidden.
+hatched strip over the parts that it overlaps, so that bars stay within 100%.
 """
 
 from collections.abc import Mapping, Sequence

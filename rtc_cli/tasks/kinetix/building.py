@@ -175,12 +175,17 @@ def _ends(level: Level, joint: LevelJoint, places: dict[int, StateArray]) -> tup
     return places[joint.a] + on_a, places[joint.b] + on_b
 
 
+def _gap(level: Level, joint: LevelJoint, places: dict[int, StateArray]) -> StateArray:
+    """From a joint's end on A to its end on B, (2,)."""
+    end_a, end_b = _ends(level, joint, places)
+    return end_b - end_a
+
+
 def _closed(level: Level) -> dict[int, StateArray]:
     """Positions (2,) of all shapes at which the ends of every joint meet."""
     places = {n: np.array(shape.position) for n, shape in level.shapes.items()}
     for joint in _acting(level):
-        end_a, end_b = _ends(level, joint, places)
-        gap = float(np.hypot(*(end_b - end_a)))
+        gap = float(np.hypot(*_gap(level, joint, places)))
         if gap > MAX_GAP_M:
             raise _refuse(
                 level, f"{joint.place}: its ends are {gap:.2f} m apart; {MAX_GAP_M} m are allowed"
@@ -193,14 +198,12 @@ def _closed(level: Level) -> dict[int, StateArray]:
                 f"shapes of this fixed joint stand; {MAX_TWIST} rad are allowed",
             )
     for _, joint in itertools.product(range(SWEEPS), _acting(level)):
-        end_a, end_b = _ends(level, joint, places)
         inverse = level.shapes[joint.a].inverse_mass, level.shapes[joint.b].inverse_mass
-        step = (end_b - end_a) / sum(inverse)
+        step = _gap(level, joint, places) / sum(inverse)
         places[joint.a] = places[joint.a] + inverse[0] * step
         places[joint.b] = places[joint.b] - inverse[1] * step
     for joint in _acting(level):
-        end_a, end_b = _ends(level, joint, places)
-        gap = float(np.hypot(*(end_b - end_a)))
+        gap = float(np.hypot(*_gap(level, joint, places)))
         if gap > CLOSED_M:
             raise _refuse(
                 level,
