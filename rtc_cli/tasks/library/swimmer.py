@@ -26,8 +26,8 @@ is in the results.
 | action | unit | range |
 | --- | --- | --- |
 | screw | fraction of 0.8 N | 0 to 1 |
-| bend_neck | fraction of 1 rad/s | −1 to 1 |
-| bend_tail | fraction of 1 rad/s | −1 to 1 |
+| bend_neck | fraction of 0.85 rad/s | −1 to 1 |
+| bend_tail | fraction of 0.85 rad/s | −1 to 1 |
 
 Angles count anticlockwise from ahead. The joints' own speed is not observed: the motors hold it at
 what the last action asked for.
@@ -56,12 +56,12 @@ LINK_KG = 0.1
 TARGET = (3.2, 1.65)
 TARGET_RADIUS = 0.2
 SCREW_N = 0.8
-JOINT_RATE = 1.0  # rad/s
+JOINT_RATE = 0.85  # rad/s
 JOINT_TORQUE = 0.3  # N·m
 JOINT_LIMIT = 0.35  # rad
 DAMPING = 0.15  # share of the speed that is left after a second without thrust
 
-POOL = (-1.6, -1.0, 3.8, 2.4)  # m, left, bottom, right, top: inner edges of the walls
+POOL = (-1.6, -1.2, 4.1, 2.7)  # m, left, bottom, right, top: inner edges of the walls
 
 _CHAIN = 1  # collision group: the links do not touch each other
 _LINKS = ("head", "middle", "tail")
