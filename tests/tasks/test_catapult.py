@@ -38,11 +38,11 @@ def test_noise_decides_where_the_ball_comes_down():
     flights, places = thrown()
     assert len(flights) > 0.7 * WORLDS
     assert flights.mean() == pytest.approx(9, abs=0.5)
-    assert places.mean() == pytest.approx(0.89, abs=0.05)
-    assert places.std() == pytest.approx(0.25, abs=0.04)
+    assert places.mean() == pytest.approx(0.77, abs=0.05)
+    assert places.std() == pytest.approx(0.26, abs=0.04)
 
 
-@pytest.mark.parametrize(("steps", "way"), [(9, 0.25), (5, 0.08)])
+@pytest.mark.parametrize(("steps", "way"), [(9, 0.40), (5, 0.14)])
 def test_a_basket_at_rest_gets_as_far_as_the_docstring_says(steps, way):
     scene = replace(get_task("catapult"), action_noise=0.0, jitters=())
     push = np.tile(np.array([0.0, 1.0, 0.0], np.float32), (1, steps, 1))
@@ -51,3 +51,17 @@ def test_a_basket_at_rest_gets_as_far_as_the_docstring_says(steps, way):
         worlds.step(push)
         reached = worlds.states[0, scene.body_index["basket"], 0]
     assert reached - BASKET_X == pytest.approx(way, abs=0.01)
+
+
+def test_the_speed_of_the_basket_decays_in_seven_and_a_half_steps():
+    calm = replace(get_task("catapult"), action_noise=0.0, jitters=())
+    bodies = tuple(
+        replace(body, velocity=(1.0, 0.0)) if body.name == "basket" else body
+        for body in calm.bodies
+    )
+    scene = replace(calm, bodies=bodies)
+    with WorldBatch(scene, 1) as worlds:
+        worlds.reset([0])
+        worlds.step(np.zeros((1, 15, scene.action_dim), np.float32))
+        left = worlds.states[0, scene.body_index["basket"], 2]
+    assert left == pytest.approx(np.exp(-2.0), abs=0.02)

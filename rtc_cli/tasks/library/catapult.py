@@ -1,20 +1,20 @@
 """Throw a ball with a long arm, and have the basket under it when it comes down.
 
 A motor at its foot swings an arm of 2.5 m over, against a stop shortly before upright. A ball lies
-in a cup at the arm's end and flies on. A basket, as wide as two balls, is pushed along a rail
-without friction by a thruster on each side. Solved when the ball touches the basket. Failed when
-the ball falls on the ground.
+in a cup at the arm's end and flies on. A basket, little wider than the ball, is pushed along a rail
+with viscous friction by a thruster on each side. Solved when the ball touches the basket. Failed
+when the ball falls on the ground.
 
 What makes it dynamic: the arm's motor follows its command at once, and the noise of its action (σ =
-0.1, as everywhere) is a third of the largest command. The ball leaves the cup where the arm jerks
-back, at a speed that the noise of the last few steps has decided. Where it will come down is not
-known before, and soon after it is there, faster than the heavy basket can go far: delay costs
-information here.
+0.1, as everywhere) is almost half of the largest command. The ball leaves the cup where the arm
+jerks back, at a speed that the noise of the last few steps has decided. Where it will come down is
+not known before, and soon after it is there: delay costs information here. What the basket did
+meanwhile matters little, for the rail takes its speed away.
 
-Time constant: none in the usual sense, no mode grows by itself. What counts is the flight: at
-full swing the ball comes down 9 control steps after it left the cup, at 0.89 m from the arm's foot,
-give or take 0.25 m (means, standard deviation). In 9 steps a basket at rest gets 0.25 m far, in 5
-only 0.08 m. All measured. A solved episode takes about 60 control steps.
+Time constant: the basket's speed decays by e in 0.25 s (7.5 control steps). What counts is the
+flight: at full swing the ball comes down 9 control steps after it left the cup, at 0.77 m from the
+arm's foot, give or take 0.26 m (means, standard deviation). In 9 steps a basket at rest gets 0.40 m
+far, in 5 only 0.14 m. All measured. A solved episode takes about 60 control steps.
 
 | observation | unit | range |
 | --- | --- | --- |
@@ -27,9 +27,9 @@ only 0.08 m. All measured. A solved episode takes about 60 control steps.
 
 | action | unit | range |
 | --- | --- | --- |
-| swing | fraction of 6 rad/s | 0 to 0.3 |
-| push_right | fraction of 6 N | 0 to 1 |
-| push_left | fraction of 6 N | 0 to 1 |
+| swing | fraction of 8 rad/s | 0 to 0.22 |
+| push_right | fraction of 14 N | 0 to 1 |
+| push_left | fraction of 14 N | 0 to 1 |
 
 The arm's angle counts from pointing right, anticlockwise; it starts a little below pointing left,
 and a positive swing turns it clockwise.
@@ -39,7 +39,7 @@ from __future__ import annotations
 
 import math
 
-from rtc_cli.tasks.carts import side_thrusters
+from rtc_cli.tasks.carts import rail_friction, side_thrusters
 from rtc_cli.tasks.scene import (
     WORLD,
     Action,
@@ -61,19 +61,20 @@ ARM_LENGTH = 2.5
 ARM_KG = 2.0
 ARM_START = math.pi + 0.5  # rad from pointing right
 ARM_STOP = 1.75
-SWING_RATE = 6.0  # rad/s that an action of 1 would ask for
-SWING_RANGE = 0.3  # three times the action noise
+SWING_RATE = 8.0  # rad/s that an action of 1 would ask for
+SWING_RANGE = 0.22  # little more than twice the action noise
 SWING_TORQUE = 60.0  # N·m
 CUP_DEPTH = 0.16
 BALL_RADIUS = 0.08
 BALL_KG = 0.1
 BASKET_Y = 1.9
-BASKET_WIDTH = 0.3
+BASKET_WIDTH = 0.2
 BASKET_KG = 1.0
 BASKET_X = 1.2
 BASKET_JITTER = 0.45  # m to either side
 RAIL_START = 0.2  # m to the right of the arm's foot: the basket cannot meet the ball in the cup
-THRUST_N = 6.0
+THRUST_N = 14.0
+DRAG = 4.0  # N·s/m
 GROUND_Y = -1.8
 
 _BALL, _ARM, _GROUND = 1, 2, 4  # collision categories: all touch the ball and nothing else
@@ -153,6 +154,7 @@ SCENE = Scene(
             end=(6.0, BASKET_Y),
             anchor=(BASKET_X, BASKET_Y),
         ),
+        rail_friction("basket", (BASKET_X, BASKET_Y), DRAG),
     ),
     motors=(
         Motor(a=WORLD, b="arm", action="swing", max_rate=-SWING_RATE, max_torque=SWING_TORQUE),

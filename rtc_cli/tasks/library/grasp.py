@@ -41,7 +41,7 @@ from __future__ import annotations
 
 import math
 
-from rtc_cli.tasks.carts import side_thrusters
+from rtc_cli.tasks.carts import rail_friction, side_thrusters
 from rtc_cli.tasks.scene import (
     WORLD,
     Action,
@@ -165,16 +165,7 @@ def _joints() -> tuple[Pivot | Groove | Spring, ...]:
         Groove(
             a=WORLD, b="cart", start=(-2.0, 0.0), end=(TARGET_X + 4.0, 0.0), anchor=(HAND_X, 0.0)
         ),
-        # The other end is so far away that the damper lies along the rail.
-        Spring(
-            a=WORLD,
-            b="cart",
-            anchor_a=(-100.0, 0.0),
-            anchor_b=(HAND_X, 0.0),
-            rest_length=100.0,
-            stiffness=0.0,
-            damping=DRAG,
-        ),
+        rail_friction("cart", (HAND_X, 0.0), DRAG),
         Pivot(a="cart", b="left_finger", anchor=knuckles[-1], limits=(closed, opened)),
         Pivot(a="cart", b="right_finger", anchor=knuckles[1], limits=(-opened, -closed)),
         Pivot(
