@@ -168,11 +168,11 @@ def _draw_shape(draw: ImageDraw.ImageDraw, camera: _Camera, shape: Shape, pose: 
 def _draw_connection(
     draw: ImageDraw.ImageDraw, camera: _Camera, scene: Scene, state: StateArray, joint: Joint
 ) -> None:
-    """Ropes and rails as lines, springs as zigzags."""
+    """Ropes and rails as lines, springs as zigzags; a damper alone stands for friction, unseen."""
     if isinstance(joint, Groove):
         ends = [_anchor(scene, state, joint.a, joint.a, end) for end in (joint.start, joint.end)]
         draw.line([camera(end) for end in ends], fill=FAINT, width=2 * camera.line)
-    elif isinstance(joint, Rope | Spring):
+    elif isinstance(joint, Rope) or (isinstance(joint, Spring) and joint.stiffness > 0):
         a = camera(_anchor(scene, state, joint.a, joint.a, joint.anchor_a))
         b = camera(_anchor(scene, state, joint.b, joint.b, joint.anchor_b))
         points = [a, b] if isinstance(joint, Rope) else _zigzag(a, b, 0.008 * camera.width)
