@@ -157,13 +157,28 @@ class DataConfig(Section):
 
 
 class NetworkConfig(Section):
-    """The velocity network's kind and sizes."""
+    """The velocity network's kind and sizes.
+
+    `token_hidden` is the Mixer's own; the sizes that are None are the transformer's own, and stand
+    for its defaults.
+    """
 
     kind: str = "mixer"
     layers: Positive = 2
     channels: Positive = 64
     channel_hidden: Positive = 128
     token_hidden: Positive = 32
+    heads: Positive | None = None
+    kv_heads: Positive | None = None
+    head_dim: Positive | None = None
+    context: Positive | None = None
+
+    def options(self) -> dict[str, int]:
+        """The sizes that a network of this kind is built with."""
+        sizes = self.model_dump(exclude_none=True, exclude={"kind"})
+        if self.kind == "transformer":
+            del sizes["token_hidden"]
+        return sizes
 
 
 class TrainConfig(Section):

@@ -12,7 +12,7 @@ from flax import nnx
 from jaxtyping import Array, Float
 
 from rtc_cli.core.conditioning import Select, TimeEmbedding, modulate, normalise
-from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.core.sizes import complete_sizes, require_even
 
 DEFAULTS = {"layers": 4, "channels": 256, "channel_hidden": 512, "token_hidden": 64}
 """The paper's network."""
@@ -142,19 +142,6 @@ class Mixer(nnx.Module):
 
 def mixer_sizes(options: Mapping[str, int]) -> dict[str, int]:
     """Complete and check the sizes of a Mixer; UsageError names the option and what is allowed."""
-    for name, value in options.items():
-        if name not in DEFAULTS:
-            raise UsageError(
-                f'unknown mixer option "{name}".{did_you_mean(name, DEFAULTS)}',
-                "use one of the allowed options",
-            )
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise UsageError(f"mixer option {name} = {value!r}", "give an integer >= 1")
-    sizes = DEFAULTS | dict(options)
-    if sizes["channels"] % 2:
-        raise UsageError(
-            f"mixer option channels = {sizes['channels']} is odd: half of the time features are"
-            " sines, half cosines",
-            "give an even number",
-        )
+    sizes = complete_sizes("mixer", options, DEFAULTS)
+    require_even("mixer", sizes, "channels")
     return sizes

@@ -17,6 +17,7 @@ from rtc_cli.core.conditioning import Select, select_clean, select_own, select_r
 from rtc_cli.core.delays import DelayDistribution
 from rtc_cli.core.flow import interpolate, masked_squares, target_velocity
 from rtc_cli.core.mixer import Mixer
+from rtc_cli.core.transformer import Transformer
 from rtc_cli.errors import UsageError, did_you_mean
 
 Params = dict[str, Any]
@@ -30,7 +31,9 @@ class Network(Protocol):
     """What a velocity network (an `nnx.Module`) must offer; see `Mixer` for the meanings.
 
     `condition` and `observe` may return any pytree; leaves of the latter have the batch first.
-    `width` is the number of activations per token in the widest layer.
+    `width` is the number of activations per token in the widest layer. A network with a context,
+    whose `observe` is worth caching, takes what it returned as a fourth argument of
+    `velocity_per_token` too.
     """
 
     width: int
@@ -62,7 +65,12 @@ class NetworkFactory(Protocol):
     ) -> Any: ...
 
 
-_NETWORKS: dict[str, NetworkFactory] = {"mixer": Mixer}
+_NETWORKS: dict[str, NetworkFactory] = {"mixer": Mixer, "transformer": Transformer}
+
+
+def check_network(name: str, options: Mapping[str, int], horizon: int) -> None:
+    """Raise UsageError if there is no such network, or not with these sizes."""
+    _graph(PolicyConfig(name, tuple(options.items()), horizon, obs_dim=1, action_dim=1))
 
 
 def list_networks() -> tuple[str, ...]:
@@ -214,16 +222,28 @@ class Policy:
         conditioning = self.network.condition(jnp.asarray(times, jnp.float32))
         return TimeTable(tuple(np.asarray(times, np.float32).tolist()), conditioning)
 
+    def observe(self, observations: Float[Array, "B O"]) -> Any:
+        """What the network computes once per chunk, for `velocity` to reuse.
+
+        For a network with a context these are its cached keys and values.
+        """
+        _check_shape("observations", observations, (None, self.config.obs_dim))
+        return self.network.observe(jnp.asarray(observations, jnp.float32))
+
     def velocity(
-        self, observations: Float[Array, "B O"], table: "TimeTable | None" = None
+        self,
+        observations: Float[Array, "B O"],
+        table: "TimeTable | None" = None,
+        observed: Any = None,
     ) -> "PolicyVelocity":
         """The velocity field for normalised observations: what a sampler is called with.
 
-        With a `table` of the sampler's times, its conditioning is not computed again.
+        With a `table` of the sampler's times, its conditioning is not computed again; with
+        `observed`, what `observe` returned for these observations, neither is that.
         """
         _check_shape("observations", observations, (None, self.config.obs_dim))
         observations = jnp.asarray(observations, jnp.float32)
-        return PolicyVelocity(self.config, self.params, observations, table)
+        return PolicyVelocity(self.config, self.params, observations, table, observed)
 
     def loss(
         self,
@@ -348,15 +368,19 @@ class PolicyVelocity:
     params: Params
     observations: Float[Array, "B O"]
     table: TimeTable | None = None
+    observed: Any = None
 
     def __call__(self, x: Float[Array, "B H A"], tau: Float[Array, "B H"]) -> Float[Array, "B H A"]:
         network = nnx.merge(_graph(self.config), self.params)
-        return network.velocity_per_token(self.observations, x, tau)
+        cached = () if self.observed is None else (self.observed,)
+        return network.velocity_per_token(self.observations, x, tau, *cached)
 
     def tabulate(self, times: np.ndarray) -> "TableVelocity":
         """The same field for tokens whose flow times are rows of a table of times (N,)."""
         network = nnx.merge(_graph(self.config), self.params)
-        observed = network.observe(self.observations)
+        observed = self.observed
+        if observed is None:
+            observed = network.observe(self.observations)
         if self.table is None or self.table.times != tuple(np.asarray(times, np.float32).tolist()):
             conditioning = network.condition(jnp.asarray(times, jnp.float32))
         else:

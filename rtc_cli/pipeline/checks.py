@@ -11,12 +11,12 @@ from rtc_cli.tasks import get_task
 
 def check_recipe(recipe: Recipe) -> None:
     """Raise UsageError for the first name or cell that the installed parts do not know."""
-    from rtc_cli.core.policy import get_network
+    from rtc_cli.core.policy import check_network
     from rtc_cli.samplers import list_samplers
 
     for task in recipe.tasks:
         get_task(task)
-    get_network(recipe.network.kind)
+    check_network(recipe.network.kind, recipe.network.options(), recipe.horizon)
     for sampler in recipe.profile.samplers:
         if sampler not in list_samplers():
             raise UsageError(

@@ -250,10 +250,9 @@ class _Fit:
         from rtc_cli.training.checkpoints import CheckpointMeta
 
         scene, recipe = get_task(self.task), self.run_.recipe
-        network = recipe.network.model_dump()
         config = PolicyConfig(
-            network=network.pop("kind"),
-            options=tuple(sorted(network.items())),
+            network=recipe.network.kind,
+            options=tuple(sorted(recipe.network.options().items())),
             horizon=recipe.horizon,
             obs_dim=scene.obs_dim,
             action_dim=scene.action_dim,
