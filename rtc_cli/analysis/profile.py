@@ -4,28 +4,32 @@ All programs are compiled first and warmed up; then rounds follow, and in each e
 called once, in an order drawn anew, and waited for. So a machine that slows down slows all of
 them down, and the ratio to `plain` is taken within rounds. One chunk is everything from a
 normalised observation to a chunk: the observation's projection and all flow steps. The time table
-belongs to the checkpoint and is computed before, as in an evaluation.
+belongs to the checkpoint and is computed before, as in an evaluation. So are the keys and values of
+a network with a context: they are a vision-language model's work, and enter as a fixed cost.
 
 The baseline `prefix-per-token` is what a user would write first: batch-major, time embedding and
 adaLN for every token in every step.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rtc_cli.analysis.floor import Ceilings, Needs, bytes_read, measure_ceilings
+from rtc_cli.analysis.networks import random_policy
 from rtc_cli.core.flow import Velocity
 from rtc_cli.core.geometry import ChunkGeometry
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig, TimeTable, get_network
-from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.core.policy import Policy
+from rtc_cli.errors import UsageError
 from rtc_cli.files import write_json
 from rtc_cli.samplers import ChunkRequest, Sampler, get_sampler
 from rtc_cli.units import Rounding, latency_to_delay
@@ -33,26 +37,13 @@ from rtc_cli.units import Rounding, latency_to_delay
 PER_TOKEN = "prefix-per-token"
 """The straightforward prefix sampler: a baseline of profiles, not in the registry of samplers."""
 
-PRESETS: dict[str, tuple[str, dict[str, int]]] = {
-    "quickstart": (
-        "mixer",
-        {"layers": 2, "channels": 64, "channel_hidden": 128, "token_hidden": 32},
-    ),
-    "paper": (
-        "mixer",
-        {"layers": 4, "channels": 256, "channel_hidden": 512, "token_hidden": 64},
-    ),
-}
-"""Networks by name: kind and sizes."""
-
 RATIO_METHOD = (
     "ratio of medians; 95% percentile interval of a bootstrap over rounds, paired within a round"
 )
 DELAY_FROM = "p95_ms"
-"""The figure that `delay_at_hz` is made of: a chunk should seldom be late."""
+"""The figure, fixed costs added, that delays are made of: a chunk should seldom be late."""
 
 WARM_UP_CALLS = 3
-_OBS_DIM, _ACTION_DIM = 40, 6  # of a random network; Kinetix-sized
 _RESAMPLES = 2000
 
 Sample = Callable[..., Float[Array, "B H A"]]
@@ -62,31 +53,41 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Program:
-    """One compiled sampler and what is known before it is timed."""
+    """One compiled sampler and what is known before it is timed.
+
+    `memory` is what the program holds at most, its inputs included (bytes); `flops` and `bytes`
+    are XLA's counts for one call, None where it does not say.
+    """
 
     sampler: str
     call: Callable[[], Array]
     compile_s: float
+    memory: int | None
     flops: float | None
     bytes: float | None
+    needs: Needs
 
 
-def random_policy(
-    network: str,
-    horizon: int,
-    *,
-    obs_dim: int = _OBS_DIM,
-    action_dim: int = _ACTION_DIM,
-    seed: int = 0,
-) -> Policy:
-    """Return a policy of a preset's size with random weights, adaLN's included (not zero).
+@dataclass(frozen=True)
+class Clock:
+    """What turns milliseconds into a delay.
 
-    `network` is a preset ("quickstart", "paper") or a registered network at its default sizes.
+    `fixed_ms` are costs around the network by name (vision encoder, prefill, network round trip).
     """
-    kind, options = _network(network)
-    config = PolicyConfig(kind, tuple(options.items()), horizon, obs_dim, action_dim)
-    normaliser = Normaliser.identity(obs_dim, action_dim)
-    return Policy.init(config, normaliser, jax.random.key(seed), adaln_zero=False)
+
+    hz: float = 30.0
+    rounding: Rounding = "ceil"
+    fixed_ms: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        latency_to_delay(0.0, self.hz, self.rounding)  # refuses a bad rate
+        for name, value in self.fixed_ms.items():
+            if not (math.isfinite(value) and value >= 0):
+                raise UsageError(f"fixed cost {name} = {value} ms", "give a number >= 0")
+
+    @property
+    def total_fixed_ms(self) -> float:
+        return sum(self.fixed_ms.values())
 
 
 def profile_samplers(
@@ -95,41 +96,45 @@ def profile_samplers(
     *,
     batch: Sequence[int] = (1,),
     horizon: int | None = None,
-    flow_steps: int = 5,
+    flow_steps: Sequence[int] = (5,),
     rounds: int = 50,
-    hz: float = 30.0,
-    rounding: Rounding = "ceil",
+    clock: Clock | None = None,
+    dtype: str = "float32",
     label: str | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
-    """Time `plain`, the named samplers and `prefix-per-token`; one row each per batch size.
+    """Time `plain`, the named samplers and `prefix-per-token`; one row each per K and batch size.
 
-    `network` is a policy, or a name that `random_policy` knows (then `horizon`, default 8, sets
-    its size). `label` is the rows' `network`. Guided samplers have their default settings.
+    `network` is a policy, or a name that `random_policy` knows (then `horizon` and `dtype` set its
+    size). `label` is the rows' `network`. Guided samplers have their default settings.
     Milliseconds; `flops` and `bytes` (null where the compiler does not say) are XLA's for one
-    call; `delay_at_hz` is made of the 95th percentile.
+    call; `floor_ms` is the least time at the ceilings measured now (see `floor`); `total_*` has the
+    clock's fixed costs in it, and so have the delays, which are made of its 95th percentile.
     """
-    policy = _policy(network, horizon, seed)
-    if not samplers:
-        raise UsageError("no sampler is named", "name at least one with --sampler")
-    if rounds < 2:
-        raise UsageError(f"{rounds} rounds are too few", "give at least 2; 50 is usual")
-    for value in batch:
-        if value < 1:
-            raise UsageError(f"batch {value} is not possible", "give integers >= 1")
-    latency_to_delay(0.0, hz, rounding)  # refuses a bad rate before anything is compiled
+    _check_settings(samplers, rounds, batch, flow_steps)
+    policy = _policy(network, horizon, dtype, seed)
     functions = _functions(samplers)
     name = label or (network if isinstance(network, str) else policy.config.network)
-    total = len(batch) * (len(functions) + rounds)
+    ceilings = measure_ceilings(network_dtype(policy))
+    cells = [(size, steps) for size in batch for steps in flow_steps]
+    each = len(functions) + rounds
     rows: list[dict[str, Any]] = []
-    for number, size in enumerate(batch):
-        report = _offset(progress, number * (len(functions) + rounds), total)
+    for number, (size, steps) in enumerate(cells):
+        report = _offset(progress, number * each, len(cells) * each)
         with _no_compilation_cache():
-            programs = _compile_all(functions, policy, size, flow_steps, seed, report)
+            programs = _compile_all(functions, policy, size, steps, seed, report)
         times = _time(programs, rounds, seed, report)
-        rows += _rows(programs, times, name, policy, size, flow_steps, hz, rounding)
+        shared = {"network": name, "dtype": ceilings.dtype, "batch": size}
+        shared |= {"horizon": policy.config.horizon, "flow_steps": steps, "rounds": rounds}
+        rows += _rows(programs, times, shared, clock or Clock(), ceilings)
     return rows
+
+
+def network_dtype(policy: Policy) -> Any:
+    """The dtype of most of a policy's parameters."""
+    leaves = jax.tree.leaves(policy.params)
+    return max(leaves, key=lambda leaf: leaf.size).dtype
 
 
 def save_profile(path: Path | str, rows: Sequence[Mapping[str, Any]], machine: Any) -> None:
@@ -165,21 +170,22 @@ def ratio_interval(
     return float(np.median(times) / np.median(baseline)), float(low), float(high)
 
 
-def _network(name: str) -> tuple[str, dict[str, int]]:
-    if name in PRESETS:
-        return PRESETS[name]
-    from rtc_cli.core.policy import list_networks
+def _check_settings(
+    samplers: Sequence[str], rounds: int, batch: Sequence[int], flow_steps: Sequence[int]
+) -> None:
+    if not samplers:
+        raise UsageError("no sampler is named", "name at least one with --sampler")
+    if rounds < 2:
+        raise UsageError(f"{rounds} rounds are too few", "give at least 2; 50 is usual")
+    for name, values in (("batch", batch), ("flow steps", flow_steps)):
+        for value in values:
+            if value < 1:
+                raise UsageError(f"{name} {value} is not possible", "give integers >= 1")
 
-    allowed = (*PRESETS, *list_networks())
-    if name not in allowed:
-        raise UsageError(f'unknown network "{name}".{did_you_mean(name, allowed)}')
-    get_network(name)
-    return name, {}
 
-
-def _policy(network: Policy | str, horizon: int | None, seed: int) -> Policy:
+def _policy(network: Policy | str, horizon: int | None, dtype: str, seed: int) -> Policy:
     if isinstance(network, str):
-        return random_policy(network, 8 if horizon is None else horizon, seed=seed)
+        return random_policy(network, horizon, dtype=dtype, seed=seed)
     if horizon not in (None, network.config.horizon):
         raise UsageError(
             f"horizon {horizon} does not fit a policy of horizon {network.config.horizon}",
@@ -228,25 +234,48 @@ def _compile(
     name: str, sample: Sample, policy: Policy, inputs: tuple[Array, ...], flow_steps: int
 ) -> Program:
     def chunk(
-        policy: Policy, table: TimeTable | None, inputs: tuple[Array, ...], unroll: bool
+        policy: Policy, given: Any, inputs: tuple[Array, ...], steps: int, unroll: bool
     ) -> Array:
         observations, noise, overlap, exec_horizon, delay = inputs
         geometry = ChunkGeometry(policy.config.horizon, exec_horizon, delay)
-        request = ChunkRequest(geometry, flow_steps, noise, overlap)
-        return sample(policy.velocity(observations, table), request, unroll=unroll)
+        request = ChunkRequest(geometry, steps, noise, overlap)
+        return sample(policy.velocity(observations, *given), request, unroll=unroll)
 
-    # A sampler's time table is computed once per checkpoint and K, not once per chunk.
-    table = policy.time_table(sample.times(flow_steps)) if isinstance(sample, Sampler) else None
-    arguments = (policy, table, inputs)
-    jitted = jax.jit(chunk, static_argnums=3)
+    def arguments(steps: int) -> tuple[Any, ...]:
+        return policy, _given(sample, policy, inputs[0], steps), inputs
+
+    jitted = jax.jit(chunk, static_argnums=(3, 4))
     start = time.perf_counter()
-    compiled = jitted.lower(*arguments, False).compile()
+    compiled = jitted.lower(*arguments(flow_steps), flow_steps, False).compile()
     compile_s = time.perf_counter() - start
+    ready = arguments(flow_steps)
     for _ in range(WARM_UP_CALLS):
-        compiled(*arguments).block_until_ready()
-    # A loop's body is counted once, so the costs are those of the same program without loops.
-    flops, accessed = _costs(jitted.lower(*arguments, True).compile())
-    return Program(name, lambda: compiled(*arguments), compile_s, flops, accessed)
+        compiled(*ready).block_until_ready()
+    # A loop's body is counted once, so one and two steps are counted, written out.
+    one, two = (_costs(jitted.lower(*arguments(n), n, True).compile()) for n in (1, 2))
+    flops, accessed = (
+        None if a is None or b is None else a + (flow_steps - 1) * (b - a)
+        for a, b in zip(one, two, strict=True)
+    )
+    read = bytes_read(lambda *given: chunk(*given, flow_steps, False), *ready)
+    needs = Needs(read, flops)
+    memory = _memory(compiled)
+    return Program(name, lambda: compiled(*ready), compile_s, memory, flops, accessed, needs)
+
+
+def _given(sample: Sample, policy: Policy, observations: Array, flow_steps: int) -> tuple[Any, Any]:
+    """What is known before a chunk: a sampler's time table, once per checkpoint and K; a context's
+    keys and values, which another network computes."""
+    table = policy.time_table(sample.times(flow_steps)) if isinstance(sample, Sampler) else None
+    has_context = getattr(policy.network, "has_context", False)
+    return table, policy.observe(observations) if has_context else None
+
+
+def _memory(compiled: Any) -> int | None:
+    sizes = compiled.memory_analysis()
+    if sizes is None:
+        return None
+    return int(sizes.argument_size_in_bytes + sizes.output_size_in_bytes + sizes.temp_size_in_bytes)
 
 
 def _costs(compiled: Any) -> tuple[float | None, float | None]:
@@ -274,48 +303,69 @@ def _time(
 def _rows(
     programs: Sequence[Program],
     times: np.ndarray,
-    network: str,
-    policy: Policy,
-    batch: int,
-    flow_steps: int,
-    hz: float,
-    rounding: Rounding,
+    shared: Mapping[str, Any],
+    clock: Clock,
+    ceilings: Ceilings,
 ) -> list[dict[str, Any]]:
-    shared = {
-        "network": network,
-        "batch": batch,
-        "horizon": policy.config.horizon,
-        "flow_steps": flow_steps,
-        "hz": hz,
-        "rounding": rounding,
-        "rounds": len(times),
-        "ratio_method": RATIO_METHOD,
-        "delay_from": DELAY_FROM,
-    }
     rows = []
     for index, program in enumerate(programs):
         samples = times[:, index]
-        p50, p95, p99 = (float(value) for value in np.percentile(samples, [50, 95, 99]))
         ratio, low, high = ratio_interval(samples, times[:, 0])
         rows.append(
-            shared
-            | {
+            {
+                **shared,
                 "sampler": program.sampler,
                 "compile_s": program.compile_s,
-                "p50_ms": p50,
-                "p95_ms": p95,
-                "p99_ms": p99,
-                "per_step_ms": p50 / flow_steps,
+                **_timing(samples, shared["flow_steps"]),
                 "ratio_to_plain": ratio,
                 "ratio_low": low,
                 "ratio_high": high,
+                "ratio_method": RATIO_METHOD,
                 "flops": program.flops,
                 "bytes": program.bytes,
-                "delay_at_hz": latency_to_delay(p95, hz, rounding),
+                "memory_bytes": program.memory,
+                **_floor(samples, program.needs, ceilings),
+                **_delays(samples, shared["horizon"], clock),
                 "samples_ms": samples.tolist(),
             }
         )
     return rows
+
+
+def _timing(samples: np.ndarray, flow_steps: int) -> dict[str, float]:
+    p50, p95, p99 = (float(value) for value in np.percentile(samples, [50, 95, 99]))
+    return {"p50_ms": p50, "p95_ms": p95, "p99_ms": p99, "per_step_ms": p50 / flow_steps}
+
+
+def _floor(samples: np.ndarray, needs: Needs, ceilings: Ceilings) -> dict[str, float]:
+    floor_ms = needs.floor_ms(ceilings)
+    return {
+        "floor_ms": floor_ms,
+        "over_floor": float(np.median(samples)) / floor_ms if floor_ms else math.nan,
+        "floor_bytes": needs.bytes,
+        "ceiling_bytes_per_s": ceilings.bytes_per_s,
+        "ceiling_flops_per_s": ceilings.flops_per_s,
+    }
+
+
+def _delays(samples: np.ndarray, horizon: int, clock: Clock) -> dict[str, Any]:
+    """The chunk's latency with what is around it, and what follows at the control rate."""
+    fixed = clock.total_fixed_ms
+    total = float(np.percentile(samples, 95)) + fixed
+    delay = latency_to_delay(total, clock.hz, clock.rounding)
+    return {
+        "hz": clock.hz,
+        "rounding": clock.rounding,
+        "delay_from": DELAY_FROM,
+        "fixed_ms": dict(clock.fixed_ms),
+        "total_p50_ms": float(np.median(samples)) + fixed,
+        "total_p95_ms": total,
+        "delay_at_hz": delay,
+        **{f"delay_{name}": latency_to_delay(total, clock.hz, name) for name in get_args(Rounding)},
+        "chunk_share": delay / horizon,
+        # With d = ceil(latency * rate), a rate of d / latency is the highest that has delay d.
+        "highest_hz": {str(d): 1000 * d / total for d in range(1, horizon // 2 + 1)},
+    }
 
 
 def _offset(progress: Progress | None, start: int, total: int) -> Callable[[], None]:

@@ -1,6 +1,8 @@
 """`rtc profile`: the time of one chunk per sampler."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,18 +46,21 @@ def profile(
         str, typer.Option("--batch", metavar="LIST", help="Batch sizes, comma-separated.")
     ] = "1",
     flow_steps: Annotated[
-        int | None,
+        str | None,
         typer.Option(
             "--flow-steps",
-            min=1,
-            metavar="K",
-            help="Euler steps of the flow per chunk.  [default: 5, or the run's]",
+            metavar="LIST",
+            help="Euler steps of the flow per chunk, comma-separated.  [default: 5, or the run's]",
         ),
     ] = None,
     horizon: Annotated[
         int | None,
         typer.Option(
-            "--horizon", min=1, max=1000, metavar="H", help="Actions in a chunk.  [default: 8]"
+            "--horizon",
+            min=1,
+            max=1000,
+            metavar="H",
+            help="Actions in a chunk.  [default: 8; 50 for the experts]",
         ),
     ] = None,
     network: Annotated[
@@ -63,10 +68,23 @@ def profile(
         typer.Option(
             "--network",
             metavar="NAME",
-            help="Random weights of this size: quickstart or paper, or a registered network.  "
-            "[default: paper]",
+            help="Random weights of this size: quickstart, paper, expert-300m, expert-860m, or a "
+            "registered network.  [default: paper]",
         ),
     ] = None,
+    dtype: Annotated[
+        str,
+        typer.Option("--dtype", metavar="TYPE", help="float32, or bfloat16 (experts)."),
+    ] = "float32",
+    fixed_ms: Annotated[
+        str,
+        typer.Option(
+            "--fixed-ms",
+            metavar="LIST",
+            help="Milliseconds of what is around the network, added to the total: 62, or "
+            "vision=18,prefill=44.",
+        ),
+    ] = "",
     run: Annotated[
         Path | None,
         typer.Option(
@@ -80,49 +98,106 @@ def profile(
     ] = 50,
     hz: HzOption = 30.0,
     rounding: RoundingOption = "ceil",
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            "--save", metavar="DIR", help="Keep profile.json, a table and a figure in this folder."
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Time one chunk per sampler, side by side.
+    """Time one chunk per sampler, side by side, and say what follows from it.
 
     Times plain, the named samplers and prefix-per-token (the straightforward implementation),
     alternated round by round in one process, warm, each waited for. Compilation is timed apart.
-    Works without a run, on random weights.
+    Works without a run, on random weights. The floor is the least time for what a chunk has to
+    read and compute, at a memory bandwidth and a rate measured in the same run.
 
     \b
     Examples:
       rtc profile --sampler pinv
       rtc profile --sampler pinv --sampler prefix --batch 1,64 --hz 50
       rtc profile --network paper --horizon 50 --json > profile.json
+      rtc profile --network expert-300m --rounds 5 --fixed-ms vision=18,prefill=44 --hz 50
       rtc profile --run runs/quickstart-20260101T120000Z
     """
     from rtc_cli.cli.output import document, output
 
-    sizes = _read_batch(batch)
-    if run is not None and (network is not None or horizon is not None):
+    if run is not None and (network is not None or horizon is not None or dtype != "float32"):
         raise UsageError(
-            "--run comes with its own network and horizon",
-            "leave --network and --horizon away, or leave --run away",
+            "--run comes with its own network, horizon and dtype",
+            "leave --network, --horizon and --dtype away, or leave --run away",
         )
+    settings = _Settings(
+        samplers=tuple(sampler or ()),
+        batch=_read_integers(batch, "batch sizes", 65_536),
+        flow_steps=_read_integers(flow_steps, "flow steps", 1000) if flow_steps else None,
+        horizon=horizon,
+        network=network,
+        dtype=dtype,
+        rounds=rounds,
+        hz=hz,
+        rounding=rounding,
+        fixed_ms=read_fixed_ms(fixed_ms),
+    )
     with output(as_json) as out:
         opened = _open(run)
-        rows = _measure(
-            opened, sampler or [], sizes, flow_steps, horizon, network, rounds, hz, rounding
-        )
+        rows = _measure(opened, settings)
         from rtc_cli.results import machine_record
 
         machine = machine_record()
         if opened is not None:
             _save(opened, rows, machine)
         name = None if opened is None else str(opened.folder)
-        out.result(document(name, machine, rows), *_render(rows, machine))
+        content = document(name, machine, rows)
+        if save is not None:
+            from rtc_cli.report.profile.page import save_profile_page
+
+            save_profile_page(save, content)
+        out.result(content, *_render(rows, machine))
 
 
-def _read_batch(text: str) -> list[int]:
+@dataclass(frozen=True)
+class _Settings:
+    """What is to be measured, as it was asked for; None is the default."""
+
+    samplers: tuple[str, ...]
+    batch: list[int]
+    flow_steps: list[int] | None
+    horizon: int | None
+    network: str | None
+    dtype: str
+    rounds: int
+    hz: float
+    rounding: Rounding
+    fixed_ms: dict[str, float]
+
+
+def read_fixed_ms(text: str) -> dict[str, float]:
+    """Read "62" or "vision=18,prefill=44" into milliseconds by name."""
+    fixed: dict[str, float] = {}
+    for part in filter(None, (piece.strip() for piece in text.split(","))):
+        name, _, value = part.rpartition("=")
+        try:
+            milliseconds = float(value)
+        except ValueError:
+            milliseconds = math.nan
+        if not (math.isfinite(milliseconds) and milliseconds >= 0):
+            raise UsageError(
+                f'cannot read the fixed cost "{part}"',
+                'write milliseconds >= 0, as in "62" or "vision=18,prefill=44"',
+            )
+        label = name.strip() or "fixed"
+        fixed[label] = fixed.get(label, 0.0) + milliseconds
+    return fixed
+
+
+def _read_integers(text: str, what: str, largest: int) -> list[int]:
     parts = [part.strip() for part in text.split(",")]
-    if not all(part.isascii() and part.isdigit() and 0 < int(part) <= 65_536 for part in parts):
+    if not all(part.isascii() and part.isdigit() and 0 < int(part) <= largest for part in parts):
         raise UsageError(
-            f'cannot read the batch sizes "{text}"',
-            'write comma-separated integers from 1 to 65536, as in "1,64"',
+            f'cannot read the {what} "{text}"',
+            f'write comma-separated integers from 1 to {largest}, as in "1,64"',
         )
     return list(dict.fromkeys(int(part) for part in parts))
 
@@ -143,35 +218,25 @@ def _policy_of(run: "Run") -> "Policy":
     return load_policy(run.checkpoint(recipe.tasks[0], recipe.train.seeds[0], "base"))
 
 
-def _measure(
-    run: "Run | None",
-    samplers: Sequence[str],
-    batch: Sequence[int],
-    flow_steps: int | None,
-    horizon: int | None,
-    network: str | None,
-    rounds: int,
-    hz: float,
-    rounding: Rounding,
-) -> list[dict[str, Any]]:
+def _measure(run: "Run | None", settings: _Settings) -> list[dict[str, Any]]:
     from rtc_cli.cli.output import progress
     from rtc_cli.samplers import list_samplers
 
-    names = check_names(samplers or _DEFAULT_SAMPLERS, list_samplers(), "sampler")
-    from rtc_cli.analysis.profile import profile_samplers
+    names = check_names(settings.samplers or _DEFAULT_SAMPLERS, list_samplers(), "sampler")
+    from rtc_cli.analysis.profile import Clock, profile_samplers
 
-    steps = flow_steps or (5 if run is None else run.recipe.eval.flow_steps)
+    default_steps = 5 if run is None else run.recipe.eval.flow_steps
     with progress() as bars:
         bar = bars.add_task("profile", total=None, note="")
         return profile_samplers(
-            network or "paper" if run is None else _policy_of(run),
+            settings.network or "paper" if run is None else _policy_of(run),
             names,
-            batch=batch,
-            horizon=horizon,
-            flow_steps=steps,
-            rounds=rounds,
-            hz=hz,
-            rounding=rounding,
+            batch=settings.batch,
+            horizon=settings.horizon,
+            flow_steps=settings.flow_steps or [default_steps],
+            rounds=settings.rounds,
+            clock=Clock(settings.hz, settings.rounding, settings.fixed_ms),
+            dtype=settings.dtype,
             label=None if run is None else run.recipe.name,
             progress=lambda done, total: bars.update(bar, completed=done, total=total),
         )
@@ -191,14 +256,18 @@ def _render(
 
     first = rows[0]
     tables: list[RenderableType] = []
-    for size in dict.fromkeys(row["batch"] for row in rows):
-        group = [row for row in rows if row["batch"] == size]
-        tables += [_times_table(group), _programs_table(group)]
+    for cell in dict.fromkeys((row["batch"], row["flow_steps"]) for row in rows):
+        group = [row for row in rows if (row["batch"], row["flow_steps"]) == cell]
+        tables += [_times_table(group), _programs_table(group), _meaning_table(group)]
     notes = [
         *_warnings(rows),
-        f"d: the delay in control steps that the 95th percentile means ({first['rounding']}).",
+        f"d: the delay in control steps that the 95th percentile, fixed costs added, means "
+        f"({first['rounding']}).",
         f"x plain: {first['ratio_method']}.",
-        "MFLOP, MB: the compiler's count for one call with its loops written out.",
+        "MFLOP, MB: the compiler's count for one call with its loops written out; held MB: the "
+        "most that it has in memory. Hz: the highest control rate at which the delay is still d.",
+        f"floor: what has to be read at {first['ceiling_bytes_per_s'] / 1e9:.3g} GB/s, computed at "
+        f"{first['ceiling_flops_per_s'] / 1e9:.4g} GFLOP/s ({first['dtype']}), both measured now.",
         f"{machine['cpu']}, {machine['cores']} cores, jax {machine['jax']}.",
     ]
     return [*tables, Text("\n".join(notes), style="dim")]
@@ -234,10 +303,29 @@ def _times_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
 
 
 def _programs_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
-    table = _table("Programs", ("compile s", "MFLOP", "MB"))
+    columns = ("compile s", "MFLOP", "MB", "held MB", "floor ms", "p50/floor")
+    table = _table("Programs", columns)
     for row in rows:
-        costs = (_mega(row[key]) for key in ("flops", "bytes"))
-        table.add_row(row["sampler"], f"{row['compile_s']:.2f}", *costs)
+        counts = (_mega(row[key]) for key in ("flops", "bytes", "memory_bytes"))
+        floor = (f"{row['floor_ms']:.3g}", f"{row['over_floor']:.3g}")
+        table.add_row(row["sampler"], f"{row['compile_s']:.2f}", *counts, *floor)
+    return table
+
+
+def _meaning_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
+    first = rows[0]
+    fixed = sum(first["fixed_ms"].values())
+    title = f"What it means at {first['hz']:g} Hz, {fixed:g} ms of fixed costs added"
+    rates = [d for d in ("1", "2", "4") if d in first["highest_hz"]]
+    table = _table(title, ("p95 ms", "d", "of chunk", *(f"Hz, d = {d}" for d in rates)))
+    for row in rows:
+        table.add_row(
+            row["sampler"],
+            f"{row['total_p95_ms']:.3g}",
+            str(row["delay_at_hz"]),
+            f"{row['chunk_share']:.0%}",
+            *(f"{row['highest_hz'][d]:.3g}" for d in rates),
+        )
     return table
 
 

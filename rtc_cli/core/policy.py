@@ -31,9 +31,9 @@ class Network(Protocol):
     """What a velocity network (an `nnx.Module`) must offer; see `Mixer` for the meanings.
 
     `condition` and `observe` may return any pytree; leaves of the latter have the batch first.
-    `width` is the number of activations per token in the widest layer. A network with a context,
-    whose `observe` is worth caching, takes what it returned as a fourth argument of
-    `velocity_per_token` too.
+    `width` is the number of activations per token in the widest layer. A network with a context
+    (`has_context = True`) takes what `observe` returned as a fourth argument of
+    `velocity_per_token` too; profiles leave its `observe` out.
     """
 
     width: int

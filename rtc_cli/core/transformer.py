@@ -105,6 +105,8 @@ class Transformer(nnx.Module):
     float32 outside.
     """
 
+    has_context = True
+
     def __init__(
         self,
         horizon: int,

@@ -14,7 +14,7 @@ def profile(folder: Path, progress: Progress) -> None:
     path = run.results / "profile.json"
     if path.is_file():
         return
-    from rtc_cli.analysis.profile import profile_samplers, save_profile
+    from rtc_cli.analysis.profile import Clock, profile_samplers, save_profile
     from rtc_cli.results import machine_record
     from rtc_cli.training.checkpoints import load_policy
 
@@ -24,10 +24,9 @@ def profile(folder: Path, progress: Progress) -> None:
         load_policy(run.checkpoint(recipe.tasks[0], recipe.train.seeds[0], "base")),
         config.samplers,
         batch=config.batch,
-        flow_steps=recipe.eval.flow_steps,
+        flow_steps=(recipe.eval.flow_steps,),
         rounds=config.rounds,
-        hz=config.hz,
-        rounding=config.rounding,
+        clock=Clock(config.hz, config.rounding),
         label=recipe.name,
     )
     save_profile(path, rows, machine_record())

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from rtc_cli.analysis.networks import random_policy
 from rtc_cli.analysis.profile import (
     PER_TOKEN,
     prefix_per_token,
     profile_samplers,
-    random_policy,
     ratio_interval,
 )
 from rtc_cli.core.geometry import ChunkGeometry
@@ -32,7 +32,7 @@ def policy():
 
 @pytest.fixture(scope="module")
 def rows(policy):
-    return profile_samplers(policy, ["prefix"], batch=(1,), flow_steps=3, rounds=4, hz=30.0)
+    return profile_samplers(policy, ["prefix"], batch=(1,), flow_steps=(3,), rounds=4)
 
 
 def test_rows(rows):
@@ -48,7 +48,7 @@ def test_rows(rows):
 
 def test_flops_count_every_step(policy, rows):
     """A loop's body counted once would give flops that do not grow with the steps."""
-    longer = profile_samplers(policy, ["plain"], flow_steps=6, rounds=2)
+    longer = profile_samplers(policy, ["plain"], flow_steps=(6,), rounds=2)
     assert 1.6 < longer[0]["flops"] / rows[0]["flops"] <= 2.05
 
 
@@ -92,7 +92,7 @@ def test_the_ratio_interval_covers():
         ({"samplers": []}, "no sampler"),
         ({"samplers": ["pinv"], "rounds": 1}, "1 rounds"),
         ({"samplers": ["pinv"], "batch": (0,)}, "batch 0"),
-        ({"samplers": ["pinv"], "hz": 0.0}, "0.0 Hz"),
+        ({"samplers": ["pinv"], "flow_steps": (0,)}, "flow steps 0"),
         ({"samplers": ["pinv"], "horizon": 9}, "horizon 9"),
     ],
 )
