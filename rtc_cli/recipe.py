@@ -421,6 +421,8 @@ class Recipe(Section):
         """SHA-256 (hex) of some top-level fields but for `train.seeds`."""
         content = self.model_dump(mode="json", include=set(fields))
         content.get("train", {}).pop("seeds", None)
+        if "network" in content:  # sizes that a kind of network does not have do not enter
+            content["network"] = {k: v for k, v in content["network"].items() if v is not None}
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 

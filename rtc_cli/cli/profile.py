@@ -104,6 +104,29 @@ def profile(
             "--save", metavar="DIR", help="Keep profile.json, a table and a figure in this folder."
         ),
     ] = None,
+    explain: Annotated[
+        bool,
+        typer.Option(
+            "--explain",
+            help="Instead of timing: what guidance does in every step of a run's policy.",
+        ),
+    ] = False,
+    task: Annotated[
+        str | None,
+        typer.Option(
+            "--task", metavar="NAME", help="With --explain: of this task.  [default: the first]"
+        ),
+    ] = None,
+    exec_horizon: Annotated[
+        int | None,
+        typer.Option(
+            "--exec-horizon", min=1, metavar="s", help="With --explain.  [default: H / 2]"
+        ),
+    ] = None,
+    delay: Annotated[
+        int | None,
+        typer.Option("--delay", min=1, metavar="d", help="With --explain.  [default: H - s]"),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Time one chunk per sampler, side by side, and say what follows from it.
@@ -120,6 +143,7 @@ def profile(
       rtc profile --network paper --horizon 50 --json > profile.json
       rtc profile --network expert-300m --rounds 5 --fixed-ms vision=18,prefill=44 --hz 50
       rtc profile --run runs/quickstart-20260101T120000Z
+      rtc profile --explain --delay 4
     """
     from rtc_cli.cli.output import document, output
 
@@ -128,6 +152,10 @@ def profile(
             "--run comes with its own network, horizon and dtype",
             "leave --network, --horizon and --dtype away, or leave --run away",
         )
+    if explain:
+        steps = _read_integers(flow_steps, "flow steps", 1000)[0] if flow_steps else None
+        _explain(run, sampler, task, exec_horizon, delay, steps, save, as_json)
+        return
     settings = _Settings(
         samplers=tuple(sampler or ()),
         batch=_read_integers(batch, "batch sizes", 65_536),
@@ -155,6 +183,30 @@ def profile(
 
             save_profile_page(save, content)
         out.result(content, *_render(rows, machine))
+
+
+def _explain(
+    run: Path | None,
+    samplers: list[str] | None,
+    task: str | None,
+    exec_horizon: int | None,
+    delay: int | None,
+    flow_steps: int | None,
+    save: Path | None,
+    as_json: bool,
+) -> None:
+    from rtc_cli.cli.explain import explain_run, render_explanation
+    from rtc_cli.cli.output import output
+    from rtc_cli.samplers import list_samplers
+
+    names = check_names(samplers or _DEFAULT_SAMPLERS, list_samplers(), "sampler")
+    with output(as_json) as out:
+        content = explain_run(run, list(names), task, exec_horizon, delay, flow_steps)
+        if save is not None:
+            from rtc_cli.report.profile.explain import save_explain_page
+
+            save_explain_page(save, content)
+        out.result(content, *render_explanation(content))
 
 
 @dataclass(frozen=True)

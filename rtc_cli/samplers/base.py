@@ -121,11 +121,9 @@ class Sampler(abc.ABC):
         body once.
         """
         request = _checked(request)
-        times = self.times(request.flow_steps)
-        if not hasattr(velocity, "tabulate"):
-            opaque = _Opaque(velocity, jnp.asarray(times, jnp.float32))
-            return self._solve(opaque, request, unroll)
-        table = velocity.tabulate(times)
+        table = _field(velocity, self.times(request.flow_steps))
+        if isinstance(table, _Opaque):
+            return self._solve(table, request, unroll)
         batch = request.noise.shape[0]
         if unroll or batch <= self.tile or jax.default_backend() != "cpu":
             return self._solve(table, request, unroll)
@@ -133,13 +131,23 @@ class Sampler(abc.ABC):
             return self._solve_in_tiles(table, request)
         return self._solve_in_threads(table, request)
 
+    def path(self, velocity: Velocity, request: ChunkRequest) -> Float[Array, "K+1 B H A"]:
+        """The chunk before each of the K steps, and after the last; to look into a sampler."""
+        request = _checked(request)
+        times = self.times(request.flow_steps)
+        field_ = _field(velocity, times)
+        problem, count = _token_major(request), request.flow_steps
+        chunks = [self.start(problem)]
+        for index in range(count):
+            chunks.append(self.update(field_, chunks[-1], _step(jnp.int32(index), count), problem))
+        return jnp.swapaxes(jnp.stack(chunks), 1, 2)
+
     def _solve(self, velocity: Field, request: ChunkRequest, unroll: bool = False) -> Array:
         problem = _token_major(request)
         count = request.flow_steps
 
         def body(x: Array, index: Array) -> tuple[Array, None]:
-            step = Step(index, index.astype(jnp.float32) / count, 1 / count)
-            return self.update(velocity, x, step, problem), None
+            return self.update(velocity, x, _step(index, count), problem), None
 
         x, _ = jax.lax.scan(
             body, self.start(problem), jnp.arange(count), unroll=count if unroll else 1
@@ -205,6 +213,17 @@ class _Opaque:
     def __call__(self, x: Float[Array, "H B A"], rows: Int[Array, "#H #B"]) -> Array:
         tau = jnp.broadcast_to(self.times[rows], x.shape[:2])
         return jnp.swapaxes(self.velocity(jnp.swapaxes(x, 0, 1), tau.T), 0, 1)
+
+
+def _field(velocity: Velocity, times: np.ndarray) -> Any:
+    """The velocity on a table of flow times, by its own fast path if it has one."""
+    if hasattr(velocity, "tabulate"):
+        return velocity.tabulate(times)
+    return _Opaque(velocity, jnp.asarray(times, jnp.float32))
+
+
+def _step(index: Array, count: int) -> Step:
+    return Step(index, index.astype(jnp.float32) / count, 1 / count)
 
 
 def _token_major(request: ChunkRequest) -> Problem:

@@ -62,7 +62,8 @@ def test_the_page_holds_the_figures(content, tmp_path):
     assert "pinv 2.50 (2.49 to 2.51)" in page
     assert "| prefix | 14.1 | 15.1 |" in page
     assert "vision 18 ms + prefill 44 ms" in page
-    assert "RTX 4090" in page and "97" in page  # published: 18 + 44 + 35
+    assert "| RTX 4090, pinv |" in page
+    assert "| 97 |" in page  # published: 18 + 44 + 35
     assert json.loads(paths.rows.read_text("utf-8"))["rows"] == content["rows"]
     assert [path.name for path in paths.figures] == ["profile.png"]
     assert paths.html.read_text("utf-8").count("<svg") == 1
