@@ -99,3 +99,27 @@ def test_the_ratio_interval_covers():
 def test_bad_settings(policy, settings, words):
     with pytest.raises(UsageError, match=words):
         profile_samplers(policy, **settings)
+
+
+def test_flops_are_those_of_the_steps_written_out(policy, rows):
+    """Counted for one and two steps and continued: three steps written out have as many."""
+    sampler = get_sampler("prefix")
+    noise = jnp.ones((1, 4, 2))
+
+    def chunk(policy, table, observations, noise, s, d):
+        request = ChunkRequest(ChunkGeometry(4, s, d), 3, noise, noise)
+        return sampler(policy.velocity(observations, table), request, unroll=True)
+
+    arguments = (policy, policy.time_table(sampler.times(3)), jnp.ones((1, 5)), noise)
+    compiled = jax.jit(chunk).lower(*arguments, jnp.int32(2), jnp.int32(2)).compile()
+    assert rows[1]["flops"] == pytest.approx(compiled.cost_analysis()["flops"], rel=0.02)
+
+
+def test_fixed_costs_are_part_of_the_delay(policy):
+    clock = Clock(hz=50.0, fixed_ms={"vision": 1000.0, "prefill": 0.5})
+    row = profile_samplers(policy, ["plain"], flow_steps=(1,), rounds=2, clock=clock)[0]
+    assert row["total_p50_ms"] == pytest.approx(row["p50_ms"] + 1000.5)
+    assert row["delay_at_hz"] == row["delay_ceil"] >= 51
+    assert row["highest_hz"]["2"] == pytest.approx(2000 / row["total_p95_ms"])
+    with pytest.raises(UsageError, match="fixed cost x"):
+        Clock(fixed_ms={"x": -1.0})
