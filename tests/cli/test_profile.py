@@ -8,6 +8,7 @@ import pytest
 from rtc_cli.analysis.networks import random_policy
 from rtc_cli.analysis.profile import (
     PER_TOKEN,
+    Clock,
     prefix_per_token,
     profile_samplers,
     ratio_interval,
