@@ -11,6 +11,7 @@ The baseline `prefix-per-token` is what a user would write first: batch-major, t
 adaLN for every token in every step.
 """
 
+import functools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -244,23 +245,30 @@ def _compile(
     def arguments(steps: int) -> tuple[Any, ...]:
         return policy, _given(sample, policy, inputs[0], steps), inputs
 
-    jitted = jax.jit(chunk, static_argnums=(3, 4))
+    jitted, ready = jax.jit(chunk, static_argnums=(3, 4)), arguments(flow_steps)
     start = time.perf_counter()
-    compiled = jitted.lower(*arguments(flow_steps), flow_steps, False).compile()
+    compiled = jitted.lower(*ready, flow_steps, False).compile()
     compile_s = time.perf_counter() - start
-    ready = arguments(flow_steps)
     for _ in range(WARM_UP_CALLS):
         compiled(*ready).block_until_ready()
     # A loop's body is counted once, so one and two steps are counted, written out.
     one, two = (_costs(jitted.lower(*arguments(n), n, True).compile()) for n in (1, 2))
-    flops, accessed = (
-        None if a is None or b is None else a + (flow_steps - 1) * (b - a)
-        for a, b in zip(one, two, strict=True)
+    flops, accessed = (_continued(*pair, flow_steps) for pair in zip(one, two, strict=True))
+    read = bytes_read(functools.partial(chunk, steps=flow_steps, unroll=False), *ready)
+    return Program(
+        sampler=name,
+        call=lambda: compiled(*ready),
+        compile_s=compile_s,
+        memory=_memory(compiled),
+        flops=flops,
+        bytes=accessed,
+        needs=Needs(read, flops),
     )
-    read = bytes_read(lambda *given: chunk(*given, flow_steps, False), *ready)
-    needs = Needs(read, flops)
-    memory = _memory(compiled)
-    return Program(name, lambda: compiled(*ready), compile_s, memory, flops, accessed, needs)
+
+
+def _continued(one: float | None, two: float | None, steps: int) -> float | None:
+    """A count that grows by the same in every step, from those of one and of two steps."""
+    return None if one is None or two is None else one + (steps - 1) * (two - one)
 
 
 def _given(sample: Sample, policy: Policy, observations: Array, flow_steps: int) -> tuple[Any, Any]:
