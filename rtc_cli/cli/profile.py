@@ -316,7 +316,7 @@ def _render(
         f"d: the delay in control steps that the 95th percentile, fixed costs added, means "
         f"({first['rounding']}).",
         f"x plain: {first['ratio_method']}.",
-        "MFLOP, MB: the compiler's count for one call with its loops written out; held MB: the "
+        "FLOP, B: the compiler's count for one call with its loops written out; held: the "
         "most that it has in memory. Hz: the highest control rate at which the delay is still d.",
         f"floor: what has to be read at {first['ceiling_bytes_per_s'] / 1e9:.3g} GB/s, computed at "
         f"{first['ceiling_flops_per_s'] / 1e9:.4g} GFLOP/s ({first['dtype']}), both measured now.",
@@ -347,7 +347,7 @@ def _times_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
         ratio = f"{row['ratio_to_plain']:.2f} [{row['ratio_low']:.2f}, {row['ratio_high']:.2f}]"
         table.add_row(
             row["sampler"],
-            *(f"{row[key]:.3g}" for key in ("p50_ms", "p95_ms", "p99_ms", "per_step_ms")),
+            *(_plain(row[key]) for key in ("p50_ms", "p95_ms", "p99_ms", "per_step_ms")),
             "1" if row["sampler"] == "plain" else ratio,
             str(row["delay_at_hz"]),
         )
@@ -355,11 +355,13 @@ def _times_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
 
 
 def _programs_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
-    columns = ("compile s", "MFLOP", "MB", "held MB", "floor ms", "p50/floor")
+    unit, size = ("G", 1e9) if (rows[0]["flops"] or 0) > 1e10 else ("M", 1e6)
+    columns = ("compile s", f"{unit}FLOP", f"{unit}B", f"held {unit}B", "floor ms", "p50/floor")
     table = _table("Programs", columns)
     for row in rows:
-        counts = (_mega(row[key]) for key in ("flops", "bytes", "memory_bytes"))
-        floor = (f"{row['floor_ms']:.3g}", f"{row['over_floor']:.3g}")
+        values = (row[key] for key in ("flops", "bytes", "memory_bytes"))
+        counts = ("?" if value is None else _plain(value / size) for value in values)
+        floor = (_plain(row["floor_ms"]), _plain(row["over_floor"]))
         table.add_row(row["sampler"], f"{row['compile_s']:.2f}", *counts, *floor)
     return table
 
@@ -373,7 +375,7 @@ def _meaning_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
     for row in rows:
         table.add_row(
             row["sampler"],
-            f"{row['total_p95_ms']:.3g}",
+            _plain(row["total_p95_ms"]),
             str(row["delay_at_hz"]),
             f"{row['chunk_share']:.0%}",
             *(f"{row['highest_hz'][d]:.3g}" for d in rates),
@@ -392,5 +394,6 @@ def _table(title: str, columns: Sequence[str]) -> "Table":
     return table
 
 
-def _mega(value: float | None) -> str:
-    return "?" if value is None else f"{value / 1e6:.3g}"
+def _plain(value: float) -> str:
+    """Three digits, or all before the point: never an exponent for large numbers."""
+    return f"{value:.0f}" if value >= 1000 else f"{value:.3g}"

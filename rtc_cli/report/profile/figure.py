@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _GREYS = ("#b9c1c9", "#d3d9de", "#9aa4ad", "#e3e7ea")
-_MAX_TICKS = 40
+_MAX_TICKS = 12
+_NAMED_FROM = 0.09  # of the longest bar: narrower parts have no room for their name
 
 
 def chunk_figure(groups: dict[str, list[Row]], *, published: bool) -> "Figure":
@@ -42,34 +43,37 @@ def chunk_figure(groups: dict[str, list[Row]], *, published: bool) -> "Figure":
 def _measured(axes: "Axes", rows: Sequence[Row]) -> None:
     names = [str(row["sampler"]) for row in rows]
     style = looks([{"plain": "naive"}.get(name, name) for name in names])
+    widest = max(row["total_p95_ms"] for row in rows)
     for place, (row, look) in enumerate(zip(rows, style.values(), strict=True)):
-        left = _stack(axes, place, row["fixed_ms"])
+        left = _stack(axes, place, row["fixed_ms"], widest)
         step = row["p50_ms"] / row["flow_steps"]
         for index in range(row["flow_steps"]):
             _bar(axes, place, left + index * step, step, look.colour)
         axes.plot([row["total_p50_ms"], row["total_p95_ms"]], [place] * 2, color=INK, linewidth=1.4)
-        words = f"{row['total_p95_ms']:.3g} ms, d = {row['delay_at_hz']}"
+        words = f"{_digits(row['total_p95_ms'])} ms, d = {row['delay_at_hz']}"
         _say(axes, place, row["total_p95_ms"], words)
-    _names(axes, names, max(row["total_p95_ms"] for row in rows))
+    _names(axes, names, widest)
 
 
 def _published(axes: "Axes") -> None:
+    widest = max(chunk.total_ms for chunk in PUBLISHED)
     for place, chunk in enumerate(PUBLISHED):
         fixed = {name: ms for name, ms in chunk.parts.items() if name != "flow steps"}
-        left = _stack(axes, place, fixed)
+        left = _stack(axes, place, fixed, widest)
         if "flow steps" in chunk.parts:
             colour = (LOOKS[1] if chunk.sampler == "plain" else LOOKS[0]).colour
             _bar(axes, place, left, chunk.parts["flow steps"], colour)
         _say(axes, place, chunk.total_ms, f"{chunk.total_ms:g} ms")
-    _names(axes, [chunk.label for chunk in PUBLISHED], max(c.total_ms for c in PUBLISHED))
+    _names(axes, [chunk.label for chunk in PUBLISHED], widest)
 
 
-def _stack(axes: "Axes", place: int, parts: dict[str, float]) -> float:
+def _stack(axes: "Axes", place: int, parts: dict[str, float], widest: float) -> float:
     """Draw the fixed costs one after another; return where they end (ms)."""
     left = 0.0
     for index, (name, ms) in enumerate(parts.items()):
         _bar(axes, place, left, ms, _GREYS[index % len(_GREYS)])
-        axes.text(left + ms / 2, place, name, ha="center", va="center", fontsize=8, color=INK)
+        if ms >= _NAMED_FROM * widest:
+            axes.text(left + ms / 2, place, name, ha="center", va="center", fontsize=8, color=INK)
         left += ms
     return left
 
@@ -101,11 +105,14 @@ def _ticks(axes: "Axes", hz: float) -> None:
     right = axes.get_xlim()[1]
     count = int(right * hz / 1000)
     every = max(1, -(-count // _MAX_TICKS))
-    for tick in range(every, count + 1, every):
-        axes.axvline(1000 * tick / hz, color=RULE, linewidth=0.8, zorder=0)
-    named = max(1, -(-count // 12))
+    marks = list(range(0, count + 1, every))
+    for mark in marks[1:]:
+        axes.axvline(1000 * mark / hz, color=RULE, linewidth=0.8, zorder=0)
     top = axes.secondary_xaxis("top")
-    marks = list(range(0, count + 1, named))
-    top.set_xticks([1000 * m / hz for m in marks], [str(m) for m in marks])
+    top.set_xticks([1000 * mark / hz for mark in marks], [str(mark) for mark in marks])
     top.tick_params(length=0, labelsize=8, colors=MUTED, pad=0)
     top.spines["top"].set_visible(False)
+
+
+def _digits(milliseconds: float) -> str:
+    return f"{milliseconds:.0f}" if milliseconds >= 100 else f"{milliseconds:.3g}"
