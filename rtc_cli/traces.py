@@ -4,6 +4,7 @@ A trace is a CSV, JSON or parquet file with one column or with components that a
 profile. `resample_blocks` draws from one without breaking its bursts. Imports nothing heavy.
 """
 
+import bisect
 import csv
 import json
 import math
@@ -67,9 +68,20 @@ class LatencyTrace:
 def to_delays(latencies_ms: ArrayLike, hz: float, rounding: Rounding = "ceil") -> NDArray[np.int64]:
     """Return the delay in control steps of each latency; any shape. See `latency_to_delay`."""
     latency_to_delay(0.0, hz, rounding)  # refuses a bad rate also where there is no latency
-    values, place = np.unique(np.asarray(latencies_ms, np.float64), return_inverse=True)
-    delays = [latency_to_delay(float(value), hz, rounding) for value in values]
-    return np.array(delays, dtype=np.int64)[place]
+    values = np.asarray(latencies_ms, np.float64)
+    order = np.argsort(values, axis=None)
+    ordered = values.ravel()[order]
+    delays = np.empty(values.size, dtype=np.int64)
+    start = 0
+    # A delay never falls with the latency, so that each is looked for once, not once per row.
+    while start < ordered.size:
+        delay = latency_to_delay(float(ordered[start]), hz, rounding)
+        stop = bisect.bisect_right(
+            ordered, delay, lo=start, key=lambda value: latency_to_delay(value, hz, rounding)
+        )
+        delays[order[start:stop]] = delay
+        start = stop
+    return delays.reshape(values.shape)
 
 
 def read_trace(
@@ -182,7 +194,9 @@ def _read_text(path: Path) -> Cells:
     with open(path, encoding="utf-8-sig", newline="") as stream:
         lines = (line for line in stream if line.strip() and not line.lstrip().startswith("#"))
         try:
-            rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)]
+            rows = [
+                [cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter)
+            ]
         except csv.Error as error:
             raise StateError(f"{path}: broken CSV: {error}", "mend the file") from None
     if not rows:
@@ -236,9 +250,7 @@ def _from_columns(
     cells = _as_columns(path, content)
     names = _choose(path, cells, columns)
     units = {name: _unit_of(path, name, unit) for name in names}
-    components = {
-        name: _numbers(path, name, cells[name]) * _MS_PER[units[name]] for name in names
-    }
+    components = {name: _numbers(path, name, cells[name]) * _MS_PER[units[name]] for name in names}
     used = " and ".join(dict.fromkeys(units.values()))
     total = np.sum(list(components.values()), axis=0)
     source = f"{path}, {_plural('column', names)}"

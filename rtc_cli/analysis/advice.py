@@ -1,5 +1,6 @@
 """From a distribution of latencies to H, s, the conditioned delay and the training distribution."""
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,10 +19,14 @@ from rtc_cli.analysis.cycles import (
 LATE_SHARE = 0.05
 """The estimator with the smallest mean d_cond is taken among those with no more late chunks."""
 
+WORTH_FOLLOWING = 0.25
+"""Control steps of mean d_cond that a running maximum has to save against a fixed value."""
+
 EVEN_SHARE = 0.2
 """Share of the training distribution that is even over all legal delays, 0 included."""
 
 LONGEST_HORIZON = 1000  # of a recipe
+LINE = 78
 
 
 @dataclass(frozen=True)
@@ -94,8 +99,8 @@ def recommend(
         steps = max(chosen // 2, 1)
     limit = min(steps, chosen - steps)
     compared = [told_constant(delays, value, limit, name) for name, value in told]
-    compared.append(told_max_of_last(delays, limit))
-    best = _best(compared)
+    running = told_max_of_last(delays, limit)
+    best = _best(compared, running)
     fixed = dict(told).get(best.estimator)
     support, weights = _training(delays, limit, fixed)
     return Recommendation(
@@ -112,23 +117,22 @@ def recommend(
         support=support,
         weights=weights,
         cycles=run_cycles(delays, chosen, steps),
-    ), compared
+    ), [*compared, running]
 
 
 def recipe_snippet(recommendation: Recommendation, delays: Delays) -> str | None:
     """Return keys of a recipe, as TOML; None where H is longer than a recipe allows."""
     if recommendation.horizon > LONGEST_HORIZON:
         return None
-    evaluated = ", ".join(map(str, _evaluated(recommendation, delays)))
     return (
         f"horizon = {recommendation.horizon}\n\n"
         "[train.delays]\n"
         'kind = "weights"\n'
-        f"support = [{', '.join(map(str, recommendation.support))}]\n"
-        f"weights = [{', '.join(f'{weight:.4f}' for weight in recommendation.weights)}]\n\n"
+        f"{_array('support', recommendation.support)}\n"
+        f"{_array('weights', recommendation.weights)}\n\n"
         "[eval]\n"
         f'protocols = ["fixed:{recommendation.exec_horizon}"]\n'
-        f"delays = [{evaluated}]\n"
+        f"{_array('delays', _evaluated(recommendation, delays))}\n"
     )
 
 
@@ -146,11 +150,22 @@ def recipe_overrides(recommendation: Recommendation, delays: Delays) -> tuple[st
     )
 
 
-def _best(compared: Sequence[Told]) -> Told:
-    enough = [told for told in compared if told.late <= LATE_SHARE]
-    if enough:
-        return min(enough, key=lambda told: told.mean)
-    return min(compared, key=lambda told: told.late)
+def _array(key: str, values: Sequence[float]) -> str:
+    """Return a TOML array whose lines fit a terminal."""
+    text = ", ".join(f"{value:.4f}" if isinstance(value, float) else str(value) for value in values)
+    if len(text) < LINE - 10:
+        return f"{key} = [{text}]"
+    body = textwrap.fill(text, LINE, initial_indent="  ", subsequent_indent="  ")
+    return f"{key} = [\n{body}\n]"
+
+
+def _best(fixed: Sequence[Told], running: Told) -> Told:
+    enough = [told for told in fixed if told.late <= LATE_SHARE]
+    best = min(enough, key=lambda told: told.mean, default=None)
+    if best is None:
+        return min((*fixed, running), key=lambda told: told.late)
+    saved = best.mean - running.mean
+    return running if running.late <= LATE_SHARE and saved >= WORTH_FOLLOWING else best
 
 
 def _training(

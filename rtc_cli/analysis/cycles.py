@@ -40,7 +40,7 @@ class Told:
 
 
 def run_cycles(delays: ArrayLike, horizon: int, exec_horizon: int) -> Cycles:
-    """Go through delays (N,) in control steps at one H and s (legal or not).
+    """Go through delays (N,) in control steps at one H and s <= H, legal or not.
 
     The execution horizon of a cycle is the realised one, max(s, d). Before the first cycle a whole
     chunk is there.
@@ -48,23 +48,27 @@ def run_cycles(delays: ArrayLike, horizon: int, exec_horizon: int) -> Cycles:
     given = np.asarray(delays, dtype=np.int64)
     realised = np.maximum(given, exec_horizon)
     violated = (given > exec_horizon) | (realised > horizon - given)
-    left, starved = horizon, 0
-    for delay, steps in zip(given.tolist(), realised.tolist(), strict=True):
-        if delay < horizon:
-            starved += max(delay - left, 0)
-            left = max(horizon - steps, 0)
-            starved += max(steps - horizon, 0)
-        else:
-            starved += max(steps - left, 0)
-            left = max(left - steps, 0)
     ticks = int(realised.sum())
     return Cycles(
         given.size,
         ticks,
         float(violated.mean()),
-        starved / max(ticks, 1),
+        _starved(given, realised, horizon) / max(ticks, 1),
         float((given >= horizon).mean()),
     )
+
+
+def _starved(delays: Delays, realised: Delays, horizon: int) -> int:
+    """Ticks without an action; a dropped chunk leaves the old one to run out."""
+    if not (delays >= horizon).any():
+        left = np.concatenate([[horizon], horizon - realised[:-1]])
+        return int(np.maximum(delays - left, 0).sum())
+    starved, remaining = 0, horizon
+    for delay, steps in zip(delays.tolist(), realised.tolist(), strict=True):
+        is_used = delay < horizon
+        starved += max((delay if is_used else steps) - remaining, 0)
+        remaining = horizon - steps if is_used else max(remaining - steps, 0)
+    return starved
 
 
 def told_constant(delays: ArrayLike, value: int, limit: int, estimator: str) -> Told:

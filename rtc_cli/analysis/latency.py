@@ -81,7 +81,8 @@ class LatencyAnalysis:
     """Everything that `rtc latency` knows about a trace. Latencies in ms, delays in control steps.
 
     `stationary_ms` (n,) are the rows after the warm-up, at the level of the slower end where the
-    trace drifts. `quantiles` describe them.
+    trace drifts; `quantiles` describe them and `delays` (n,) are theirs. `measured` (n,) are the
+    delays of the same rows as they were measured.
     """
 
     trace: LatencyTrace
@@ -90,6 +91,7 @@ class LatencyAnalysis:
     warm_up: WarmUp
     drift: Drift
     stationary_ms: Series
+    measured: Delays
     quantiles: tuple[Quantile, ...]
     outliers: Outliers
     bursts: Bursts
@@ -98,11 +100,6 @@ class LatencyAnalysis:
     estimators: tuple[Told, ...]
     recommendation: Recommendation
     with_warm_up: Cycles
-
-    @property
-    def measured(self) -> Delays:
-        """(n,) delays of the rows after the warm-up, as measured."""
-        return self.trace.after(self.warm_up.rows).delays(self.hz, self.rounding)
 
     def delay_of(self, latency_ms: float) -> int | None:
         """The delay of a latency at this control rate; None for NaN."""
@@ -136,14 +133,14 @@ def analyse(
     levels = sorted({*PERCENTILES, percentile})
     quantiles = [_at_slower_end(quantile_interval(flat, level), drift) for level in levels]
     stationary = flat * _slower_end(drift)
-    measured = kept.delays(hz, rounding)
+    whole = trace.delays(hz, rounding)
+    measured = whole[warm_up.rows :]
     held = {q.level: _held(q, stationary, hz, rounding) for q in quantiles}
     shown = [quantile for quantile in quantiles if quantile.level > 0.5]
     choices = [choose(held[q.level], q.level, measured) for q in shown]
     choices.append(choose(int(measured.max()), 1.0, measured))
     told = [(f"percentile:{level:g}", _told_at(quantiles, level, hz, rounding)) for level in _TOLD]
     advice, estimators = recommend(measured, held[percentile], percentile, told, horizon)
-    whole = trace.delays(hz, rounding)
     return LatencyAnalysis(
         trace=trace,
         hz=hz,
@@ -151,6 +148,7 @@ def analyse(
         warm_up=warm_up,
         drift=drift,
         stationary_ms=stationary,
+        measured=measured,
         quantiles=tuple(quantiles),
         outliers=_outliers(stationary),
         bursts=_bursts(flat),

@@ -27,9 +27,7 @@ class Quantile(NamedTuple):
     effective: float
 
 
-def quantile_interval(
-    values: ArrayLike, level: float, confidence: float = CONFIDENCE
-) -> Quantile:
+def quantile_interval(values: ArrayLike, level: float, confidence: float = CONFIDENCE) -> Quantile:
     """Distribution-free interval for the `level` quantile (0 to 1) of a stationary series (N,).
 
     The r-th of n independent values lies at a Beta(r, n + 1 - r) distributed level. The ends are

@@ -126,13 +126,14 @@ class _Line:
 
 
 def _line(values: Series, blocks: int) -> _Line:
-    """Least squares through the medians of equally long blocks."""
-    edges = np.linspace(0, len(values), blocks + 1).astype(int)
-    medians = np.array([np.median(values[a:b]) for a, b in zip(edges, edges[1:], strict=False)])
-    centres = (edges[:-1] + edges[1:] - 1) / 2
+    """Least squares through the medians of equally long blocks; a rest at the start is left out."""
+    size = len(values) // blocks
+    rest = len(values) - blocks * size
+    medians = np.median(values[rest:].reshape(blocks, size), axis=1)
+    centres = rest + size * np.arange(blocks) + (size - 1) / 2
     middle = centres.mean()
     spread = float(((centres - middle) ** 2).sum())
     slope = float(((centres - middle) * medians).sum() / spread)
-    rest = medians - medians.mean() - slope * (centres - middle)
-    error = math.sqrt(float((rest**2).sum()) / (blocks - 2) / spread)
+    residuals = medians - medians.mean() - slope * (centres - middle)
+    error = math.sqrt(float((residuals**2).sum()) / (blocks - 2) / spread)
     return _Line(float(medians.mean()), slope, error, float(middle))

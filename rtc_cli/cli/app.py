@@ -21,6 +21,7 @@ COMMANDS = {
     "train": "Train experts, then the base and the prefix policy.",
     "eval": "Measure success under delay for each way of hiding it.",
     "profile": "Time one chunk per sampler.",
+    "latency": "Analyse measured latencies: which delay, H and s, and what to train on.",
     "ablate": "Compare distributions of delays simulated in training.",
     "report": "Write the report of a run: Markdown and one HTML page.",
     "tasks": "List, describe and render the tasks.",

@@ -1,13 +1,11 @@
 """Builds the report of a run: report.md with PNG figures, index.html, rows.json, CSV tables."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from rtc_cli.errors import StateError
-from rtc_cli.files import write_bytes, write_json, write_text
 from rtc_cli.levels import task_label
 from rtc_cli.report import figures, sections
 from rtc_cli.report.document import (
@@ -18,11 +16,9 @@ from rtc_cli.report.document import (
     Paragraph,
     Picture,
     Section,
-    pictures,
 )
 from rtc_cli.report.grid.document import grid_document
 from rtc_cli.report.grid.rows import grid_of, load_grid
-from rtc_cli.report.html import render_html
 from rtc_cli.report.inputs import RunInputs, load_run
 from rtc_cli.report.losses import sections as loss_sections
 from rtc_cli.report.losses.text import (
@@ -31,10 +27,8 @@ from rtc_cli.report.losses.text import (
     main_protocol,
     trend_sentences,
 )
-from rtc_cli.report.markdown import render_markdown
 from rtc_cli.report.render import differences_grid, success_grid
 from rtc_cli.report.selection import fits_protocol
-from rtc_cli.report.style import png
 from rtc_cli.report.tables import ALL, Row, ablation_differences, ablation_table, pick
 from rtc_cli.report.text import (
     QUESTION,
@@ -44,33 +38,10 @@ from rtc_cli.report.text import (
     difference_interval_text,
     protocol_text,
 )
+from rtc_cli.report.writing import ReportPaths, write_document
 from rtc_cli.results import machine_record
 
 REPORT = "report"
-# Keys of the JSON document that are also written as CSV, and the names of the files.
-TABLES = {
-    "rows": "success",
-    "differences": "differences",
-    "decomposition": "decomposition",
-    "recovered": "recovered",
-    "classes": "classes",
-    "controls": "controls",
-    "d90": "d90",
-    "effects": "effects",
-}
-CSV_DIGITS = 5
-
-
-@dataclass(frozen=True)
-class ReportPaths:
-    """The files of a report, and the JSON document that `rtc report --json` prints."""
-
-    markdown: Path
-    html: Path
-    rows: Path
-    figures: tuple[Path, ...]
-    tables: tuple[Path, ...]
-    data: dict[str, Any]
 
 
 def build_report(run_folder: Path | str) -> ReportPaths:
@@ -106,7 +77,7 @@ def build_report(run_folder: Path | str) -> ReportPaths:
             sections.glossary(),
         ],
     )
-    return _write(run, document, results_json(run, results))
+    return write_document(run.folder / REPORT, document, results_json(run, results))
 
 
 def _answer(results: sections.Results) -> list[str]:
@@ -149,35 +120,6 @@ def _subtitle(run: RunInputs) -> str:
     return ". ".join(part.rstrip(". ") for part in parts if part) + "."
 
 
-def _write(
-    run: RunInputs, document: Document, data: dict[str, Any], where: str = REPORT
-) -> ReportPaths:
-    folder = run.folder / where
-    images = []
-    for section in document.sections:
-        for picture in pictures(section.blocks):
-            path = folder / "figures" / f"{picture.name}.png"
-            write_bytes(path, png(picture.figure))
-            images.append(path)
-    markdown, html, rows = folder / "report.md", folder / "index.html", folder / "rows.json"
-    write_text(markdown, render_markdown(document))
-    write_text(html, render_html(document))
-    write_json(rows, data)
-    return ReportPaths(markdown, html, rows, tuple(images), _write_tables(folder, data), data)
-
-
-def _write_tables(folder: Path, data: dict[str, Any]) -> tuple[Path, ...]:
-    """Write the rows of each kind that has some as CSV, rounded, for spreadsheets and diffs."""
-    written = []
-    for key, name in TABLES.items():
-        if data.get(key):
-            table = pd.DataFrame(data[key]).round(CSV_DIGITS)
-            path = folder / "tables" / f"{name}.csv"
-            write_text(path, table.to_csv(index=False))
-            written.append(path)
-    return tuple(written)
-
-
 # -- ablation --------------------------------------------------------------------------------
 
 
@@ -194,7 +136,7 @@ def build_ablation_report(
     where = REPORT if run.episodes.empty else f"{REPORT}/ablation"
     if grid_of(run.recipe):
         grid = load_grid(run.folder, run.recipe)
-        return _write(run, *grid_document(run, grid, _subtitle(run)), where)
+        return write_document(run.folder / where, *grid_document(run, grid, _subtitle(run)))
     rows = run.variants if episodes is None else episodes
     if rows.empty:
         raise _nothing_to_report(run, "rtc ablate")
@@ -222,7 +164,7 @@ def build_ablation_report(
         "rows": table,
         "differences": gaps,
     }
-    return _write(run, document, data, where)
+    return write_document(run.folder / where, document, data)
 
 
 def _baseline(run: RunInputs, table: list[Row]) -> str:

@@ -12,7 +12,7 @@ from rtc_cli.cli.app import COMMANDS
 
 PACKAGE = Path(rtc_cli.__file__).parent
 
-LEAVES = {"errors", "units", "files", "intervals", "levels"}
+LEAVES = {"errors", "units", "files", "intervals", "levels", "autocorrelation", "traces"}
 
 ARROWS = {
     "__main__": {"cli"},
@@ -37,6 +37,8 @@ ARROWS = {
     "files": {"errors"},
     "intervals": {"errors"},
     "levels": {"errors"},
+    "autocorrelation": set(),
+    "traces": {"autocorrelation", "errors", "files", "units"},
 }
 
 # Beside the arrows: the types of a recipe's sections, the run's layout, the records of results.
@@ -139,6 +141,12 @@ def test_no_command_loads_anything_heavy_for_its_help_page():
     for name in COMMANDS:
         code += f"\nassert run([{name!r}, '--help']) == 0"
     assert not loaded_by(code) & set(HEAVY)
+
+
+def test_the_analysis_of_latencies_loads_no_jax():
+    code = "import rtc_cli.analysis.findings, rtc_cli.traces, rtc_cli.report.latency.page"
+    assert not loaded_by(code) & {"jax", "jaxlib", "pymunk", "matplotlib"}
+    assert not loaded_by("import rtc_cli.traces") & set(HEAVY)
 
 
 def test_tasks_and_report_load_no_jax():
