@@ -171,9 +171,9 @@ def _read(path: Path) -> Any:
     }
     suffix = path.suffix.lower()
     if suffix not in readers:
-        shown = f'"{suffix}"' if suffix else "no ending"
+        shown = f'"{suffix}" is no ending' if suffix else "there is no ending"
         raise UsageError(
-            f"{path}: a trace cannot have {shown}", f"give a file that ends in {', '.join(readers)}"
+            f"{path}: {shown} of a trace", f"give a file that ends in {', '.join(readers)}"
         )
     try:
         return readers[suffix](path)

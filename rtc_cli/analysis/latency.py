@@ -71,8 +71,9 @@ class Bursts:
     @property
     def found(self) -> bool:
         """Whether neighbouring chunks, or late ones, depend on each other."""
-        expected = self.late + 3 * math.sqrt(self.late * (1 - self.late)) * self.noise / 2
-        clustered = self.late_after_late > max(2 * self.late, expected)
+        # Three standard errors of a share among the late rows, of which there are late * n.
+        chance = self.late + 3 * math.sqrt(1 - self.late) * self.noise / 2
+        clustered = self.late_after_late > max(2 * self.late, chance)
         return clustered or abs(self.correlation[1]) > 2 * self.noise
 
 
