@@ -341,11 +341,11 @@ def _check(path: Path, total_ms: NDArray[np.float64], unit: str) -> tuple[str, .
             f"The median is {median:.3g} ms. That looks like seconds read as milliseconds; "
             "if so, give --unit s.",
         )
-    if unit == "s" and median >= 1000 * _TOO_LONG_S:
-        return (
-            f"The median is {median / 1000:.3g} s. That looks like milliseconds read as seconds; "
-            "if so, give --unit ms.",
-        )
+    if median >= 1000 * _TOO_LONG_S:
+        finer = "milliseconds read as seconds; if so, give --unit ms"
+        if unit != "s":
+            finer = "micro- or nanoseconds; if so, convert them"
+        return (f"The median is {median / 1000:.3g} s. That looks like {finer}.",)
     return ()
 
 

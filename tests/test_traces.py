@@ -91,7 +91,11 @@ def test_columns_without_a_header_are_numbered(tmp_path):
 
 @pytest.mark.parametrize(
     ("unit", "values", "said"),
-    [("ms", "0.09\n0.11\n", "seconds read as"), ("s", "90\n110\n", "milliseconds read as")],
+    [
+        ("ms", "0.09\n0.11\n", "seconds read as milliseconds"),
+        ("s", "90\n110\n", "milliseconds read as seconds"),
+        ("ms", "9e7\n1e8\n", "nanoseconds"),
+    ],
 )
 def test_a_mistaken_unit_is_warned_of(unit, values, said, tmp_path):
     trace = read_trace(write(tmp_path / "a.csv", values), unit=unit)

@@ -51,6 +51,7 @@ class Recommendation:
     `delay` is the one that `percentile` of cycles stay within, at the upper end of its interval.
     `fits`: s holds it. `limit` = min(s, H - s) is the largest legal d_cond and D of the training
     support. `largest_exec_horizon` is the largest s that holds `delay`, None where none does.
+    `support` and `weights` are empty where a recipe cannot be that long.
     """
 
     percentile: float
@@ -171,7 +172,12 @@ def _best(fixed: Sequence[Told], running: Told) -> Told:
 def _training(
     delays: Delays, limit: int, fixed: int | None
 ) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """What the sampler will be told, and EVEN_SHARE of every delay that it may be told."""
+    """What the sampler will be told, and EVEN_SHARE of every delay that it may be told.
+
+    Empty where no recipe can hold it.
+    """
+    if limit >= LONGEST_HORIZON:
+        return (), ()
     support = range(limit + 1)
     if fixed is None:
         told = running_max(delays, limit)

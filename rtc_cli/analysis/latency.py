@@ -167,7 +167,7 @@ def analysis_document(analysis: LatencyAnalysis) -> dict[str, Any]:
     NaN stands for what too few rows cannot tell.
     """
     advice, measured = analysis.recommendation, analysis.measured
-    counts = np.bincount(analysis.delays)
+    delays, counts = np.unique(analysis.delays, return_counts=True)
     return {
         "rows": [_row(analysis, quantile) for quantile in analysis.quantiles] + [_max(analysis)],
         "trace": _trace(analysis.trace),
@@ -179,9 +179,8 @@ def analysis_document(analysis: LatencyAnalysis) -> dict[str, Any]:
         "outliers": asdict(analysis.outliers),
         "autocorrelation": asdict(analysis.bursts) | {"found": analysis.bursts.found},
         "delays": [
-            {"delay": d, "count": int(n), "share": float(n / counts.sum())}
-            for d, n in enumerate(counts)
-            if n
+            {"delay": int(delay), "count": int(count), "share": float(count / counts.sum())}
+            for delay, count in zip(delays, counts, strict=True)
         ],
         "choices": [asdict(choice) for choice in analysis.choices],
         "estimators": [asdict(told) for told in analysis.estimators],

@@ -357,8 +357,9 @@ def test_training_shows_what_the_sampler_is_told():
     assert min(weights.values()) == pytest.approx(0.2 / (plan.limit + 1), abs=1e-4)
 
 
-def test_a_horizon_beyond_recipes_has_no_snippet():
-    analysis = analyse(trace_of([9000.0, 9001.0] * 20), hz=100)
+@pytest.mark.parametrize("latency_ms", [9e3, 9e13])
+def test_a_horizon_beyond_recipes_has_no_snippet(latency_ms):
+    analysis = analyse(trace_of([latency_ms, latency_ms + 1] * 20), hz=100)
     assert recipe_snippet(analysis.recommendation, analysis.measured) is None
     assert recipe_overrides(analysis.recommendation, analysis.measured) == ()
 

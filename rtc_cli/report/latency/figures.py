@@ -17,6 +17,7 @@ LEVEL, BAND = LOOKS[2].colour, FILLS["rest"].colour
 _LOG_FROM = 12.0  # slowest over median: beyond it a linear axis hides the body
 _DRAWN_AS_IMAGE = 3000  # points
 _MOST_BOUNDARIES, _NAMED_BOUNDARIES = 24, 18
+_MOST_TICKS = 500
 _FILL, _HOLLOW = 0.55, 0.14
 
 Document = Mapping[str, Any]
@@ -138,10 +139,12 @@ def _decades(count: int) -> list[float]:
 
 
 def _boundaries(upper: "Axes", lower: "Axes", data: Document) -> None:
-    """Shade every other tick and write the delay that a latency in it means."""
+    """Shade every other tick and write the delay that a latency in it means, as space allows."""
     period = 1000 / data["hz"]
     shift = {"ceil": 0.0, "nearest": -0.5, "floor": -1.0}[data["rounding"]]
     left, right = upper.get_xlim()
+    if (right - left) / period > _MOST_TICKS:
+        return
     delays = range(max(0, int(left / period) - 1), int(right / period) + 3)
     spans = [(d, (d - 1 - shift) * period, (d - shift) * period) for d in delays]
     seen = [span for span in spans if span[2] > left and span[1] < right]
