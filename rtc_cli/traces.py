@@ -26,7 +26,6 @@ UNITS: tuple[str, ...] = get_args(Unit)
 
 _MS_PER = {"ms": 1.0, "s": 1000.0}
 _NAMELESS = "latency"  # the column of a JSON list of numbers
-_FIXED = "fixed"
 _LATE_PERCENTILE = 95
 _TOO_SHORT_MS, _TOO_LONG_S = 1.0, 10.0
 _CHOICES = ("sampler", "batch", "flow_steps")  # what tells the rows of a profile apart
@@ -89,7 +88,7 @@ def read_trace(
     *,
     columns: Sequence[str] = (),
     unit: Unit | None = None,
-    fixed_ms: float = 0.0,
+    fixed_ms: Mapping[str, float] | None = None,
     sampler: str | None = None,
     batch: int | None = None,
     flow_steps: int | None = None,
@@ -98,13 +97,15 @@ def read_trace(
 
     `columns` that add up; may be left out where the file has one. Units come from the ends of the
     columns' names (`_ms`, `_s`) or from `unit`. JSON: a list of numbers, a list of objects, or an
-    object of lists. `fixed_ms` is added to every row. `sampler`, `batch` and `flow_steps` choose a
-    row of a profile. Rows are numbered from 1, below the header. Raises UsageError for what was
-    asked, StateError for what the file holds.
+    object of lists. `fixed_ms`, constants by name, are added to every row, as are those that a
+    profile was made with. `sampler`, `batch` and `flow_steps` choose a row of a profile. Rows are
+    numbered from 1, below the header. Raises UsageError for what was asked, StateError for what
+    the file holds.
     """
     path = Path(path)
-    if not math.isfinite(fixed_ms) or fixed_ms < 0:
-        raise UsageError(f"fixed latency {fixed_ms} ms is not possible", "give a number >= 0")
+    for name, value in (fixed_ms or {}).items():
+        if not math.isfinite(value) or value < 0:
+            raise UsageError(f"{name} {value} ms is not possible", "give a number >= 0")
     content = _read(path)
     chosen = {"sampler": sampler, "batch": batch, "flow_steps": flow_steps}
     wanted = {key: value for key, value in chosen.items() if value is not None}
@@ -119,7 +120,7 @@ def read_trace(
         )
     else:
         trace = _from_columns(path, content, columns, unit)
-    return _add_fixed(trace, fixed_ms)
+    return _add_fixed(trace, fixed_ms or {})
 
 
 def resample_blocks(
@@ -254,7 +255,7 @@ def _from_columns(
     used = " and ".join(dict.fromkeys(units.values()))
     total = np.sum(list(components.values()), axis=0)
     source = f"{path}, {_plural('column', names)}"
-    return LatencyTrace(total, components, source, used, warnings=_check(path, total, used))
+    return LatencyTrace(total, components, source, used, warnings=_check(total, used))
 
 
 def _as_columns(path: Path, content: Any) -> Cells:
@@ -333,7 +334,7 @@ def _number(cell: Any) -> tuple[float, str]:
     return value, f"{value:g} is negative" if value < 0 else ""
 
 
-def _check(path: Path, total_ms: NDArray[np.float64], unit: str) -> tuple[str, ...]:
+def _check(total_ms: NDArray[np.float64], unit: str) -> tuple[str, ...]:
     """Return a warning where the numbers look as if they had another unit."""
     median = float(np.median(total_ms))
     if "ms" in unit and median < _TOO_SHORT_MS:
@@ -349,15 +350,22 @@ def _check(path: Path, total_ms: NDArray[np.float64], unit: str) -> tuple[str, .
     return ()
 
 
-def _add_fixed(trace: LatencyTrace, fixed_ms: float) -> LatencyTrace:
-    if fixed_ms == 0:
+def _add_fixed(trace: LatencyTrace, fixed_ms: Mapping[str, float]) -> LatencyTrace:
+    for name in fixed_ms:
+        if name in trace.components_ms:
+            raise UsageError(
+                f'{trace.source}: "{name}" is a part of it already, so it would count twice',
+                "leave it away from --fixed-ms, or give it another name",
+            )
+    if not fixed_ms:
         return trace
-    name = _FIXED if _FIXED not in trace.components_ms else f"--fixed-ms {fixed_ms:g}"
+    added = {name: np.full(len(trace), float(value)) for name, value in fixed_ms.items()}
+    shown = ", ".join(f"{name} {value:g} ms" for name, value in fixed_ms.items())
     return replace(
         trace,
-        total_ms=trace.total_ms + fixed_ms,
-        components_ms={**trace.components_ms, name: np.full(len(trace), fixed_ms)},
-        source=f"{trace.source}, plus {fixed_ms:g} ms",
+        total_ms=trace.total_ms + sum(fixed_ms.values()),
+        components_ms={**trace.components_ms, **added},
+        source=f"{trace.source}, plus {shown}",
     )
 
 
@@ -390,15 +398,15 @@ def _from_profile(
     values = _numbers(path, name, samples)
     settings = (f"{key} {row[key]}" for key in ("network", *_CHOICES) if key in row)
     machine = content.get("machine")
-    return LatencyTrace(
+    trace = LatencyTrace(
         values,
         {str(row["sampler"]): values},
         f"{path}, profile of {', '.join(settings)}",
         "ms",
         kind="profile",
         machine=machine if isinstance(machine, Mapping) else None,
-        warnings=_check(path, values, "ms"),
     )
+    return _add_fixed(trace, row.get("fixed_ms") or {})
 
 
 def _choose_row(

@@ -74,13 +74,13 @@ def test_numbers_without_a_name_need_a_unit(name, content, tmp_path):
 
 def test_components_add_up(tmp_path):
     path = write(tmp_path / "a.tsv", "t\tvision_ms\tnet_s\n0\t18\t0.01\n1\t20\t0.03\n")
-    trace = read_trace(path, columns=["vision_ms", "net_s"], fixed_ms=2.5)
+    trace = read_trace(path, columns=["vision_ms", "net_s"], fixed_ms={"fixed": 2.5})
     assert trace.total_ms == pytest.approx([30.5, 52.5])
     assert list(trace.components_ms) == ["vision_ms", "net_s", "fixed"]
     assert sum(trace.components_ms.values()) == pytest.approx(trace.total_ms)
     assert trace.unit == "ms and s"
     assert "vision_ms + net_s" in trace.source
-    assert "plus 2.5 ms" in trace.source
+    assert "plus fixed 2.5 ms" in trace.source
     assert trace.after(1).total_ms == pytest.approx([52.5])
 
 
@@ -114,12 +114,21 @@ def profile(*rows):
 
 def test_a_row_of_a_profile_is_a_trace(tmp_path):
     path = write(tmp_path / "p.json", profile(("plain", 1, 5), ("prefix", 1, 5)))
-    trace = read_trace(path, sampler="prefix", fixed_ms=60)
+    trace = read_trace(path, sampler="prefix", fixed_ms={"camera": 60})
     assert trace.total_ms.tolist() == [150, 170.5, 155.25]
     assert (trace.kind, trace.machine) == ("profile", {"cpu": "X"})
     assert "sampler prefix" in trace.source
     one = write(tmp_path / "one.json", profile(("plain", 1, 5)))
     assert read_trace(one).total_ms.tolist() == MS
+
+
+def test_what_a_profile_was_made_with_is_added_once(tmp_path):
+    made = profile(("plain", 1, 5))
+    made["rows"][0]["fixed_ms"] = {"vision": 18.0}
+    path = write(tmp_path / "p.json", made)
+    assert read_trace(path, fixed_ms={"net": 10.0}).total_ms == pytest.approx(np.array(MS) + 28)
+    with pytest.raises(UsageError, match='"vision" is a part of it already'):
+        read_trace(path, fixed_ms={"vision": 18.0})
 
 
 @pytest.mark.parametrize(
@@ -165,7 +174,7 @@ BAD = [
     ("a.csv", "a_ms\n1\n2\n", {"columns": ["b_ms"]}, UsageError, ['no column "b_ms"', '"a_ms"']),
     ("a.csv", "a_ms,b_ms\n1,2\n2,3\n", {}, UsageError, ["2 columns: a_ms, b_ms", "--column"]),
     ("a.csv", "a_ms\n1\n2\n", {"unit": "s"}, UsageError, ["a_ms", "says ms", "given is s"]),
-    ("a.csv", "a_ms\n1\n2\n", {"fixed_ms": -1.0}, UsageError, ["-1.0 ms"]),
+    ("a.csv", "a_ms\n1\n2\n", {"fixed_ms": {"net": -1.0}}, UsageError, ["net -1.0 ms"]),
     ("a.csv", "a_ms\n1\n2\n", {"sampler": "plain"}, UsageError, ["is a trace", "--column"]),
     ("a.csv", b"a_ms\n\xff\n", {}, StateError, ["byte 5", "UTF-8"]),
     ("a.xyz", "a_ms\n1\n2\n", {}, UsageError, ['".xyz"', ".parquet"]),

@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rtc_cli.cli.options import HzOption, JsonOption, RoundingOption, complete_samplers
+from rtc_cli.cli.options import (
+    FixedMsOption,
+    HzOption,
+    JsonOption,
+    RoundingOption,
+    complete_samplers,
+    read_fixed_ms,
+)
 from rtc_cli.traces import Unit
 
 if TYPE_CHECKING:
@@ -39,12 +46,7 @@ def latency(
             help="A column of the trace; several add up. Repeatable.  [default: the only one]",
         ),
     ] = None,
-    fixed_ms: Annotated[
-        float,
-        typer.Option(
-            "--fixed-ms", min=0, metavar="MS", help="Constant latency to add to every row."
-        ),
-    ] = 0.0,
+    fixed_ms: FixedMsOption = "",
     sampler: Annotated[
         str | None,
         typer.Option(
@@ -124,7 +126,7 @@ def latency(
             trace,
             columns=column or (),
             unit=unit,
-            fixed_ms=fixed_ms,
+            fixed_ms=read_fixed_ms(fixed_ms),
             sampler=sampler,
             batch=batch,
             flow_steps=flow_steps,

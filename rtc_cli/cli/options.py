@@ -1,5 +1,6 @@
 """Options that several commands share: one name, one help text, one way to read each."""
 
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated
@@ -145,6 +146,15 @@ WorkersOption = Annotated[
         help="Processes to use.  [default: one per core, at most 4 with a GPU]",
     ),
 ]
+FixedMsOption = Annotated[
+    str,
+    typer.Option(
+        "--fixed-ms",
+        metavar="LIST",
+        help="Milliseconds of what is around the network, added to the total: 62, or "
+        "vision=18,prefill=44.",
+    ),
+]
 HzOption = Annotated[
     float, typer.Option("--hz", min=1e-3, metavar="RATE", help="Control rate in Hz.")
 ]
@@ -175,3 +185,22 @@ def check_names(names: Iterable[str], allowed: Iterable[str], what: str) -> tupl
 def read_names(text: str, allowed: Iterable[str], what: str) -> tuple[str, ...]:
     """Read a comma-separated list of allowed names, as --tasks and --methods take it."""
     return check_names(split_names(text), allowed, what)
+
+
+def read_fixed_ms(text: str) -> dict[str, float]:
+    """Read "62" or "vision=18,prefill=44" into milliseconds by name."""
+    fixed: dict[str, float] = {}
+    for part in filter(None, (piece.strip() for piece in text.split(","))):
+        name, _, value = part.rpartition("=")
+        try:
+            milliseconds = float(value)
+        except ValueError:
+            milliseconds = math.nan
+        if not (math.isfinite(milliseconds) and milliseconds >= 0):
+            raise UsageError(
+                f'cannot read the fixed cost "{part}"',
+                'write milliseconds >= 0, as in "62" or "vision=18,prefill=44"',
+            )
+        label = name.strip() or "fixed"
+        fixed[label] = fixed.get(label, 0.0) + milliseconds
+    return fixed

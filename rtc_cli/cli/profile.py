@@ -1,6 +1,5 @@
 """`rtc profile`: the time of one chunk per sampler."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtc_cli.cli.options import (
+    FixedMsOption,
     HzOption,
     JsonOption,
     RoundingOption,
     check_names,
     complete_samplers,
+    read_fixed_ms,
 )
 from rtc_cli.errors import UsageError
 from rtc_cli.units import Rounding
@@ -76,15 +77,7 @@ def profile(
         str,
         typer.Option("--dtype", metavar="TYPE", help="float32, or bfloat16 (experts)."),
     ] = "float32",
-    fixed_ms: Annotated[
-        str,
-        typer.Option(
-            "--fixed-ms",
-            metavar="LIST",
-            help="Milliseconds of what is around the network, added to the total: 62, or "
-            "vision=18,prefill=44.",
-        ),
-    ] = "",
+    fixed_ms: FixedMsOption = "",
     run: Annotated[
         Path | None,
         typer.Option(
@@ -223,25 +216,6 @@ class _Settings:
     hz: float
     rounding: Rounding
     fixed_ms: dict[str, float]
-
-
-def read_fixed_ms(text: str) -> dict[str, float]:
-    """Read "62" or "vision=18,prefill=44" into milliseconds by name."""
-    fixed: dict[str, float] = {}
-    for part in filter(None, (piece.strip() for piece in text.split(","))):
-        name, _, value = part.rpartition("=")
-        try:
-            milliseconds = float(value)
-        except ValueError:
-            milliseconds = math.nan
-        if not (math.isfinite(milliseconds) and milliseconds >= 0):
-            raise UsageError(
-                f'cannot read the fixed cost "{part}"',
-                'write milliseconds >= 0, as in "62" or "vision=18,prefill=44"',
-            )
-        label = name.strip() or "fixed"
-        fixed[label] = fixed.get(label, 0.0) + milliseconds
-    return fixed
 
 
 def _read_integers(text: str, what: str, largest: int) -> list[int]:

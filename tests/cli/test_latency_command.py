@@ -127,7 +127,7 @@ BAD = [
     (["robot.csv", "--unit", "s"], 2, ["latency_ms", "says ms"]),
     (["robot.csv", "--unit", "h"], 2, ["--unit", "h"]),
     (["robot.csv", "--rounding", "up"], 2, ["--rounding", "up"]),
-    (["robot.csv", "--fixed-ms", "-1"], 2, ["--fixed-ms", "-1"]),
+    (["robot.csv", "--fixed-ms", "-1"], 2, ['fixed cost "-1"', ">= 0"]),
     (["robot.csv", "--horizon", "0"], 2, ["--horizon", "0"]),
     (["robot.csv", "--percentile", "99"], 2, ["--percentile", "99"]),
     (["robot.csv", "--sampler", "pinv"], 2, ["is a trace", "--column"]),

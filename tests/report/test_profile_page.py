@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from rtc_cli.cli.profile import read_fixed_ms
+from rtc_cli.cli.options import read_fixed_ms
 from rtc_cli.errors import UsageError
 from rtc_cli.report.profile.page import save_profile_page
 
