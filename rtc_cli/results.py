@@ -26,7 +26,10 @@ import pyarrow.parquet as pq
 from rtc_cli.errors import StateError
 from rtc_cli.files import os_error, write_bytes
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
+
+# Part of every key. It stays where new columns have values that follow from the old ones.
+_KEY_VERSION = 3
 
 _TEXT, _INT, _FLOAT, _BOOL = pa.string(), pa.int64(), pa.float64(), pa.bool_()
 
@@ -44,6 +47,11 @@ EPISODE_COLUMNS: dict[str, tuple[pa.DataType, str, bool]] = {
     "exec_horizon": (_INT, "control steps", False),
     "flow_steps": (_INT, "", False),
     "action_noise": (_FLOAT, "action", False),
+    "delay_model": (_TEXT, "", False),
+    "estimator": (_TEXT, "", False),
+    "on_late": (_TEXT, "", False),
+    "on_exceed": (_TEXT, "", False),
+    "observation_lag": (_INT, "control steps", False),
     "episode": (_INT, "", False),
     "status": (_INT, "1 solved, 2 failed, 3 timeout, 4 invalid", False),
     "solved": (_BOOL, "", False),
@@ -57,6 +65,9 @@ EPISODE_COLUMNS: dict[str, tuple[pa.DataType, str, bool]] = {
     "action_delta2": (_FLOAT, "normalised action", True),
     "starved_ticks": (_INT, "control steps", False),
     "late_chunks": (_INT, "chunks", False),
+    "dropped_chunks": (_INT, "chunks", False),
+    "clipped_requests": (_INT, "requests", False),
+    "exceeded_requests": (_INT, "requests", False),
     "waiting_ticks": (_INT, "control steps", False),
     "reaction_ticks": (_FLOAT, "control steps", True),
     "measured_reaction_ticks": (_FLOAT, "control steps", True),
@@ -94,6 +105,7 @@ def cell_key(
     reaction_episodes: int,
     reaction: Mapping[str, float],
     tile: int,
+    timing: Mapping[str, Any] | None = None,
 ) -> str:
     """Key (20 hex digits) of a cell's content: equal keys mean equal rows but for their labels.
 
@@ -106,8 +118,13 @@ def cell_key(
         reaction: what a measured reaction is (``rtc_cli.execution.reaction.definition``); it has
             no part in cells without such episodes.
         tile: the rows of one inference; XLA's last bits depend on it.
+        timing: delays that vary, and what is done about them; None is the one delay, always.
     """
-    content = dict(locals()) | {"settings": dict(settings), "schema": SCHEMA_VERSION}
+    content = dict(locals()) | {"settings": dict(settings), "schema": _KEY_VERSION}
+    if timing is None:
+        del content["timing"]
+    else:
+        content["timing"] = dict(timing)
     if reaction_episodes:
         content["reaction"] = dict(reaction)
     else:
@@ -219,11 +236,43 @@ def _read(path: Path) -> pd.DataFrame:
     except (ValueError, pa.ArrowException) as error:
         raise StateError(f"results are damaged: {path} cannot be read", hint) from error
     version = (table.schema.metadata or {}).get(b"rtc_schema", b"none").decode()
+    if version == "3":
+        return _from_version_3(table.to_pandas(), path, hint)
     if version != str(SCHEMA_VERSION) or table.schema.names != list(EPISODE_COLUMNS):
         raise StateError(
             f"results {path} have schema {version}, this version reads {SCHEMA_VERSION}", hint
         )
     return table.to_pandas()
+
+
+_SINCE_VERSION_3 = (
+    "delay_model",
+    "estimator",
+    "on_late",
+    "on_exceed",
+    "observation_lag",
+    "dropped_chunks",
+    "clipped_requests",
+    "exceeded_requests",
+)
+
+
+def _from_version_3(rows: pd.DataFrame, path: Path, hint: str) -> pd.DataFrame:
+    """Fill in what version 3 did not say: its delays were constant, and known to everybody."""
+    if list(rows.columns) != [name for name in EPISODE_COLUMNS if name not in _SINCE_VERSION_3]:
+        raise StateError(f"results {path} lack columns of schema 3", hint)
+    requests = -(-rows["length"] // rows["exec_horizon"])
+    filled = rows.assign(
+        delay_model="constant:" + rows["delay"].astype(str),
+        estimator="exact",
+        on_late="play",
+        on_exceed="play",
+        observation_lag=0,
+        dropped_chunks=0,
+        clipped_requests=0,
+        exceeded_requests=requests.where(rows["beyond_trained"], 0),
+    )
+    return filled[list(EPISODE_COLUMNS)]
 
 
 @cache

@@ -31,11 +31,11 @@ def check_mask(mask: str) -> None:
 
 def overlap_weights(
     horizon: int,
-    exec_horizon: int | Int[Array, ""],
+    exec_horizon: int | Int[Array, "*B"],
     delay: int | Int[Array, "*B"],
     mask: str = "exp",
 ) -> Float[Array, "*B H"]:
-    """Weights W of the overlap's tokens, for one delay or a batch of them.
+    """Weights W of the overlap's tokens, for one (s, d) or a batch of them.
 
         W_i = 1               for i < d
         W_i = ramp(c_i)       for d <= i < H - s,   c_i = (H - s - i) / (H - s - d + 1)

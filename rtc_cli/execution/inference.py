@@ -62,6 +62,7 @@ def infer(
     overlap: Float[Array, "B H A"],
     exec_horizon: Int[Array, ""],
     delay: Int[Array, ""],
+    own: tuple[Int[Array, " B"], Int[Array, " B"]] | None = None,
     *,
     sampler: Sampler,
     flow_steps: int,
@@ -69,7 +70,8 @@ def infer(
     """One chunk per row, normalised and in physical units.
 
     Execution horizon and delay are traced: one compiled program per sampler and number of flow
-    steps serves all cells, and all policies of one shape. Observations are physical.
+    steps serves all cells, and all policies of one shape; rows with their ``own`` (s, d) have
+    another one. Observations are physical.
     """
     config = policy.config
     horizon = config.horizon
@@ -78,7 +80,8 @@ def infer(
         flow_steps=flow_steps,
         noise=chunk_noise(key, episodes, ticks, (horizon, config.action_dim)),
         overlap=overlap,
-        delay=None,
+        exec_horizon=None if own is None else own[0],
+        delay=None if own is None else own[1],
     )
     normalised = policy.normaliser.observations(observations)
     chunk = sampler(policy.velocity(normalised, table), request)
@@ -140,6 +143,7 @@ class ChunkMaker:
         episodes: IntArray,
         ticks: IntArray,
         overlap: FloatArray,
+        own: tuple[IntArray, IntArray] | None = None,
     ) -> FloatArray:
         """(m, 2, H, A) the next chunk of each episode: normalised, and in physical units.
 
@@ -148,11 +152,12 @@ class ChunkMaker:
             episodes: (m,) numbers of the episodes.
             ticks: (m,) control ticks at which these inferences start.
             overlap: (m, H, A) normalised; what lies from H - s on is ignored.
+            own: (m,) execution horizons and (m,) delays that replace the cell's, row by row.
 
         Raises:
             DivergedError: the policy produced NaN or infinity.
         """
-        return self._run(sampler, observations, episodes, ticks, overlap, self._delay)
+        return self._run(sampler, observations, episodes, ticks, overlap, self._delay, own)
 
     def _run(
         self,
@@ -162,6 +167,7 @@ class ChunkMaker:
         ticks: IntArray,
         overlap: FloatArray,
         delay: np.int32,
+        own: tuple[IntArray, IntArray] | None = None,
     ) -> FloatArray:
         count = len(episodes)
         chunk, physical = infer(
@@ -174,6 +180,7 @@ class ChunkMaker:
             self._pad(overlap, np.float32),
             self._exec_horizon,
             delay,
+            None if own is None else (self._pad(own[0], np.int32), self._pad(own[1], np.int32)),
             sampler=sampler,
             flow_steps=self._flow_steps,
         )

@@ -10,12 +10,10 @@ number only, bit for bit, whatever the other episodes, the tiles' composition an
 from __future__ import annotations
 
 import json
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -27,10 +25,12 @@ from rtc_cli.core.policy import Policy
 from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.execution.inference import TILE, ChunkMaker
 from rtc_cli.execution.methods import Method
-from rtc_cli.execution.metrics import Trace, episode_metrics
-from rtc_cli.execution.reaction import PushedWorlds, Pushes, draw_pushes, measured_reaction
-from rtc_cli.execution.timeline import Cycle, cycle, first_inference, timeline
-from rtc_cli.execution.worlds import FloatArray, IntArray, Worlds
+from rtc_cli.execution.metrics import Layout, Trace, constant_layout, layout_metrics
+from rtc_cli.execution.reaction import PushedWorlds, draw_pushes
+from rtc_cli.execution.running import Plan, Rollout
+from rtc_cli.execution.timing import Timing, count_inferences, make_clock, plain
+from rtc_cli.execution.varying import VaryingPlan, VaryingRollout, count_cases, draw_delays
+from rtc_cli.execution.worlds import IntArray, Worlds
 from rtc_cli.samplers import Sampler, get_sampler
 from rtc_cli.tasks.batch import WorldBatch
 from rtc_cli.tasks.scene import Scene, Status
@@ -39,9 +39,6 @@ SLOTS = 256
 """Worlds that run at once if the caller brings none: enough to fill tiles, few for the caches."""
 
 HOLDS = ("last", "zero")
-
-# One inference runs while the next one waits: the thread is never idle while tiles are full.
-_IN_FLIGHT = 2
 
 
 def method_sampler(method: Method) -> Sampler:
@@ -57,7 +54,13 @@ def is_beyond_trained(
     ``trained_support`` is the support of the checkpoint's delay distribution, None for one that
     was trained without delays. Only the sampler ``prefix`` needs such training.
     """
-    return method.sampler == "prefix" and delay > max(trained_support or (0,))
+    trained = longest_trained(method, trained_support)
+    return trained is not None and delay > trained
+
+
+def longest_trained(method: Method, trained_support: Sequence[int] | None = None) -> int | None:
+    """The longest delay that a method's checkpoint was trained to be told; None: it is not told."""
+    return max(trained_support or (0,)) if method.sampler == "prefix" else None
 
 
 def evaluate_cell(
@@ -74,6 +77,7 @@ def evaluate_cell(
     workers: int = 1,
     trained_support: Sequence[int] | None = None,
     reaction_episodes: int = 0,
+    timing: Timing | None = None,
     worlds: Worlds | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pd.DataFrame:
@@ -83,7 +87,7 @@ def evaluate_cell(
         scene: the task.
         policy: the checkpoint that ``method.checkpoint`` names.
         method: sampler, settings and schedule.
-        geometry: H, s and d; H must be the policy's.
+        geometry: H, s and d; H must be the policy's. With a ``timing``, d is ``timing.delay``.
         flow_steps: Euler steps K of the sampler.
         episodes: numbers (and world seeds) of the episodes, each once.
         eval_seed: seed of the chunks' initial noise.
@@ -93,6 +97,8 @@ def evaluate_cell(
         trained_support: support of the delay distribution the checkpoint was trained with.
         reaction_episodes: the first so many episodes run once more, with a push, to measure the
             reaction (``rtc_cli.execution.reaction``).
+        timing: delays that vary, what the sampler is told of them, and how old observations are;
+            None is the geometry's delay, always.
         worlds: a batch of this scene to reuse, of any size; it is left as it ends up.
         progress: called with (finished episodes, all episodes).
 
@@ -104,6 +110,7 @@ def evaluate_cell(
     Raises:
         UsageError: the arguments do not fit each other.
         DivergedError: the policy produced NaN or infinity.
+        PartialResult: a conditioned delay exceeds the trained ones, and ``timing`` says "fail".
     """
     _check(scene, policy, geometry, episodes, hold, tile)
     maker = ChunkMaker(
@@ -115,24 +122,63 @@ def evaluate_cell(
         tile=tile,
     )
     sampler = method_sampler(method)
-    plan = _Plan(geometry, method.schedule, hold, scene.max_ticks)
     numbers = np.asarray(episodes, np.int64)
+    trained = longest_trained(method, trained_support)
+    plan = _plan(scene, method, geometry, hold, timing, trained, eval_seed, numbers)
     with _worlds(scene, len(episodes), workers, worlds) as batch, ThreadPoolExecutor(1) as thread:
-        run = _Rollout(plan, maker, sampler, batch, thread, numbers)
+        run = _rollout(plan, maker, sampler, batch, thread, numbers)
         run.run(progress or (lambda done, total: None))
         reaction = np.full(len(numbers), np.nan)
         if reaction_episodes:
             first = numbers[:reaction_episodes]
             pushes = draw_pushes(scene, first, run.lengths[: len(first)], geometry.horizon)
             pushed = PushedWorlds(batch, first, pushes)
-            twin = _Rollout(plan, maker, sampler, pushed, thread, first)
+            twin = _rollout(plan, maker, sampler, pushed, thread, first)
             twin.run(lambda done, total: None)
             reaction[: len(first)] = run.reaction_to(pushes, twin)
-    return _rows(scene, method, geometry, run, sampler).assign(
+    return _rows(scene, method, run, sampler, timing, trained).assign(
         measured_reaction_ticks=reaction,
         flow_steps=flow_steps,
-        beyond_trained=is_beyond_trained(method, int(geometry.delay), trained_support),
     )
+
+
+def _plan(
+    scene: Scene,
+    method: Method,
+    geometry: ChunkGeometry,
+    hold: str,
+    timing: Timing | None,
+    trained: int | None,
+    eval_seed: int,
+    episodes: IntArray,
+) -> Plan:
+    if timing is None:
+        return Plan(geometry, method.schedule, hold, scene.max_ticks)
+    exec_horizon = int(geometry.exec_horizon)
+    count = count_inferences(exec_horizon, scene.max_ticks, timing.observation_lag)
+    clock = make_clock(
+        draw_delays(timing.model, scene, eval_seed, episodes)[:, :count],
+        timing,
+        horizon=geometry.horizon,
+        exec_horizon=exec_horizon,
+        schedule=method.schedule,
+        trained=trained,
+    )
+    fails_beyond = trained if timing.on_exceed == "fail" else None
+    return VaryingPlan(geometry, method.schedule, hold, scene.max_ticks, clock, fails_beyond)
+
+
+def _rollout(
+    plan: Plan,
+    maker: ChunkMaker,
+    sampler: Sampler,
+    worlds: Worlds,
+    thread: ThreadPoolExecutor,
+    episodes: IntArray,
+) -> Rollout:
+    if isinstance(plan, VaryingPlan):
+        return VaryingRollout(plan, maker, sampler, worlds, thread, episodes)
+    return Rollout(plan, maker, sampler, worlds, thread, episodes)
 
 
 def _check(
@@ -181,203 +227,13 @@ def _worlds(scene: Scene, count: int, workers: int, given: Worlds | None) -> Ite
         yield made
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """The numbers of a cell that a rollout needs."""
-
-    geometry: ChunkGeometry
-    schedule: str
-    hold: str
-    max_ticks: int
-
-    @property
-    def exec_horizon(self) -> int:
-        return int(self.geometry.exec_horizon)
-
-    @property
-    def delay(self) -> int:
-        return int(self.geometry.delay)
-
-    @cached_property
-    def cycle(self) -> Cycle:
-        return cycle(self.exec_horizon, self.delay, self.schedule)
-
-    @property
-    def inferences(self) -> int:
-        """Inferences that start within the longest episode."""
-        plan = timeline(
-            horizon=self.geometry.horizon,
-            exec_horizon=self.exec_horizon,
-            delay=self.delay,
-            ticks=self.max_ticks,
-            schedule=self.schedule,
-        )
-        return len(plan.inferences)
-
-
-class _Rollout:
-    """State of a cell while it runs: arrays per slot (a world), arrays per episode."""
-
-    def __init__(
-        self,
-        plan: _Plan,
-        maker: ChunkMaker,
-        sampler: Sampler,
-        worlds: Worlds,
-        thread: ThreadPoolExecutor,
-        episodes: IntArray,
-    ) -> None:
-        self.plan, self.maker, self.worlds, self.thread = plan, maker, worlds, thread
-        self.sampler, self.first_sampler = sampler, get_sampler("plain")
-        self.episodes = episodes
-        horizon, actions = maker.shape
-        count, slots = len(episodes), min(len(episodes), worlds.n)
-        longest = plan.max_ticks + plan.cycle.ticks
-        # Per episode, by position in `episodes`.
-        self.executed = np.zeros((count, longest, actions), np.float32)
-        self.lengths = np.zeros(count, np.int64)
-        self.status = np.zeros(count, np.int8)
-        self.seam_gap = np.full((count, plan.inferences), np.nan)
-        self.prefix_error = np.full((count, plan.inferences), np.nan)
-        # Per slot.
-        self.position = np.zeros(slots, np.int64)
-        self.observed: FloatArray = np.zeros((slots, maker.obs_dim), np.float32)
-        # Of two: normalised, and in physical units.
-        self.overlap = np.zeros((slots, 2, horizon, actions), np.float32)
-        self.last = np.zeros((slots, 2, actions), np.float32)
-        self.cycles = np.zeros(slots, np.int64)
-        # Slots that wait for their free chunk, and for their next inference.
-        self.fresh: deque[int] = deque()
-        self.ready: deque[int] = deque()
-        self.waiting = deque(range(count))
-        self.pending: deque[tuple[bool, IntArray, Future[FloatArray]]] = deque()
-
-    def run(self, progress: Callable[[int, int], None]) -> None:
-        """Run all episodes to their end."""
-        total = len(self.episodes)
-        self._start(np.arange(len(self.position)))
-        while self.fresh or self.ready or self.pending:
-            self._submit()
-            first, slots, future = self.pending.popleft()
-            if first:
-                self._begin(slots, future.result())
-            else:
-                self._cycle(slots, future.result())
-            progress(int((self.status != Status.RUNNING).sum()), total)
-
-    def reaction_to(self, pushes: Pushes, twin: _Rollout) -> NDArray[np.float64]:
-        """Measured reaction (m,) of the first m episodes, whose pushed twins ran in `twin`."""
-        count = len(twin.episodes)
-        lengths = self.lengths[:count], twin.lengths
-        return measured_reaction(self.executed[:count], twin.executed, pushes, lengths)
-
-    def _start(self, slots: IntArray) -> None:
-        """Put waiting episodes into free slots."""
-        slots = slots[: len(self.waiting)]
-        if not len(slots):
-            return
-        positions = np.array([self.waiting.popleft() for _ in slots])
-        self.position[slots], self.cycles[slots] = positions, 0
-        self.observed[slots] = self.worlds.reset(self.episodes[positions], worlds=slots)
-        self.fresh.extend(slots.tolist())
-
-    def _submit(self) -> None:
-        """Hand tiles to the inference thread; a tile that is not full only if nothing else runs."""
-        while len(self.pending) < _IN_FLIGHT:
-            tile = self.maker.tile
-            full = [queue for queue in (self.ready, self.fresh) if len(queue) >= tile]
-            partial = [queue for queue in (self.fresh, self.ready) if queue]
-            if not full and (self.pending or not partial):
-                return
-            queue = (full or partial)[0]
-            slots = np.array([queue.popleft() for _ in range(min(tile, len(queue)))])
-            first = queue is self.fresh
-            self.pending.append((first, slots, self._infer(slots, first)))
-
-    def _infer(self, slots: IntArray, first: bool) -> Future[FloatArray]:
-        positions = self.position[slots]
-        observed, episodes = self.observed[slots], self.episodes[positions]
-        if first:
-            return self.thread.submit(self.maker.first, self.first_sampler, observed, episodes)
-        overlap = self.overlap[slots]
-        if self.plan.schedule == "oracle" and self.plan.delay:
-            observed = self.worlds.predict(overlap[:, 1, : self.plan.delay], worlds=slots)
-        ticks = self.lengths[positions]
-        return self.thread.submit(
-            self.maker.next, self.sampler, observed, episodes, ticks, overlap[:, 0]
-        )
-
-    def _begin(self, slots: IntArray, chunk: FloatArray) -> None:
-        """Take the free chunk: ``sync`` executes it, the others keep it as the overlap."""
-        steps = self.plan.exec_horizon
-        if first_inference(steps, self.plan.schedule):
-            self._execute(slots, chunk[:, :, :steps])
-        else:
-            self.overlap[slots] = _shifted(chunk, 0, chunk.shape[2] - steps)
-            self.ready.extend(slots.tolist())
-
-    def _cycle(self, slots: IntArray, chunk: FloatArray) -> None:
-        """Execute one cycle with the new chunk (m, 2, H, A)."""
-        plan, overlap = self.plan.cycle, self.overlap[slots]
-        if self.plan.schedule != "sync":
-            self._compare(slots, chunk[:, 0], overlap[:, 0])
-        held = np.repeat(self._held(slots)[:, :, None], plan.hold, axis=2)
-        old, new = overlap[:, :, : plan.overlap_stop], chunk[:, :, plan.new_start : plan.new_stop]
-        self.overlap[slots] = _shifted(chunk, plan.new_stop, chunk.shape[2])
-        self._execute(slots, np.concatenate([held, old, new], axis=2))
-
-    def _held(self, slots: IntArray) -> FloatArray:
-        """(m, 2, A) hold action of each slot, normalised and physical."""
-        if self.plan.hold == "last":
-            return self.last[slots]
-        return np.broadcast_to(self.maker.zero_action, (len(slots), *self.maker.zero_action.shape))
-
-    def _compare(self, slots: IntArray, chunk: FloatArray, overlap: FloatArray) -> None:
-        """Record how far the new chunk is from the overlap, before it is executed."""
-        delay, entry = self.plan.delay, (self.position[slots], self.cycles[slots])
-        geometry = self.plan.geometry
-        if delay < geometry.horizon - geometry.exec_horizon:
-            first = self.plan.cycle.new_start
-            self.seam_gap[entry] = _gap(chunk[:, first], overlap[:, delay])
-        # Only under ``async`` does a chunk begin with what is committed; and ``prefix`` returns
-        # the committed actions themselves: there is nothing to compare.
-        if delay and self.plan.schedule == "async" and self.sampler.name != "prefix":
-            self.prefix_error[entry] = _gap(chunk[:, :delay], overlap[:, :delay]).mean(axis=1)
-        self.cycles[slots] += 1
-
-    def _execute(self, slots: IntArray, actions: FloatArray) -> None:
-        """Step the worlds of these slots through actions (m, 2, T, A) open loop.
-
-        Slots whose episode ends are given the next one.
-        """
-        record = self.worlds.step(actions[:, 1], worlds=slots)
-        positions = self.position[slots]
-        ticks = self.lengths[positions][:, None] + np.arange(actions.shape[2])
-        self.executed[positions[:, None], ticks] = actions[:, 0]
-        self.last[slots] = actions[:, :, -1]
-        self.lengths[positions] += record.ticks
-        self.status[positions] = record.status
-        self.observed[slots] = record.obs
-        running = record.status == Status.RUNNING
-        self.ready.extend(slots[running].tolist())
-        self._start(slots[~running])
-
-
-def _gap(new: FloatArray, old: FloatArray) -> NDArray[np.float64]:
-    """Euclidean distances (...) of actions (..., A)."""
-    gap: NDArray[np.float64] = np.linalg.norm(new.astype(np.float64) - old, axis=-1)
-    return gap
-
-
-def _shifted(chunk: FloatArray, start: int, stop: int) -> FloatArray:
-    """``chunk[:, :, start:stop]`` moved to index 0, zeros after it, in the shape of ``chunk``."""
-    moved = np.zeros_like(chunk)
-    moved[:, :, : stop - start] = chunk[:, :, start:stop]
-    return moved
-
-
 def _rows(
-    scene: Scene, method: Method, geometry: ChunkGeometry, run: _Rollout, sampler: Sampler
+    scene: Scene,
+    method: Method,
+    run: Rollout,
+    sampler: Sampler,
+    timing: Timing | None,
+    trained: int | None,
 ) -> pd.DataFrame:
     solved = run.status == Status.SOLVED
     trace = Trace(
@@ -387,15 +243,10 @@ def _rows(
         seam_gap=run.seam_gap,
         prefix_error=run.prefix_error,
     )
-    exec_horizon, delay = int(geometry.exec_horizon), int(geometry.delay)
-    metrics = episode_metrics(
-        trace,
-        horizon=geometry.horizon,
-        exec_horizon=exec_horizon,
-        delay=delay,
-        schedule=method.schedule,
-        control_hz=scene.control_hz,
-    )
+    layout, cases = _layout(run, trained)
+    exceeded = cases["exceeded_requests"] > 0
+    if timing is not None and timing.on_exceed == "clamp":
+        exceeded = np.zeros_like(exceeded)
     columns: dict[str, NDArray[np.generic] | str | float] = {
         "task": scene.name,
         "method": method.name,
@@ -403,13 +254,34 @@ def _rows(
         "sampler": method.sampler,
         "settings": json.dumps(sampler.settings, sort_keys=True),
         "schedule": method.schedule,
-        "delay": delay,
-        "exec_horizon": exec_horizon,
+        "delay": run.plan.delay,
+        "exec_horizon": run.plan.exec_horizon,
         "action_noise": scene.action_noise,
         "episode": run.episodes,
         "status": run.status.astype(np.int64),
         "solved": solved,
         "length": run.lengths,
         "scene": scene.digest,
+        "beyond_trained": exceeded,
     }
-    return pd.DataFrame(columns | metrics)
+    columns |= (timing or plain(run.plan.delay)).columns
+    return pd.DataFrame(columns | cases | layout_metrics(trace, layout, scene.control_hz))
+
+
+def _layout(run: Rollout, trained: int | None) -> tuple[Layout, dict[str, IntArray]]:
+    """What acts when in the episodes of a rollout, and its special cases."""
+    plan = run.plan
+    if isinstance(plan, VaryingPlan):
+        return plan.layout(), count_cases(plan.clock, run.lengths)
+    layout = constant_layout(
+        horizon=plan.geometry.horizon,
+        exec_horizon=plan.exec_horizon,
+        delay=plan.delay,
+        ticks=plan.max_ticks,
+        schedule=plan.schedule,
+    )
+    none = np.zeros(len(run.lengths), np.int64)
+    asked = ((layout.ready - plan.delay) < run.lengths[:, None]).sum(axis=1)
+    beyond = trained is not None and plan.delay > trained
+    cases = {"exceeded_requests": asked if beyond else none}
+    return layout, {"dropped_chunks": none, "clipped_requests": none} | cases

@@ -34,6 +34,8 @@ class ChunkRequest:
         being the action due at the start of inference. Ignored from index H - s on. None: there
         is no previous chunk (only with delay 0); nothing guides then.
     delay: int32 (B,), each at most geometry.delay, replaces it per example.
+    exec_horizon: int32 (B,), replaces geometry.exec_horizon per example, as delays that vary from
+        one inference to the next make it; each example's own (s, d) has to be legal.
     flow_steps: K, the number of Euler steps.
 
     Raises TypeError for physical actions, UsageError for shapes, dtypes and concrete values that
@@ -45,6 +47,7 @@ class ChunkRequest:
     noise: Float[Array, "B H A"]
     overlap: Float[Array, "B H A"] | None = None
     delay: Int[Array, " B"] | None = None
+    exec_horizon: Int[Array, " B"] | None = None
 
 
 class Field(Protocol):
@@ -58,7 +61,8 @@ class Field(Protocol):
 class Problem:
     """A checked request, token-major.
 
-    noise (H, B, A); overlap (H, B, A), zero from index H - s on, or None; delay () or (B,).
+    noise (H, B, A); overlap (H, B, A), zero from index H - s on, or None; delay and exec_horizon ()
+    or (B,).
     """
 
     geometry: ChunkGeometry
@@ -66,6 +70,7 @@ class Problem:
     noise: Float[Array, "H B A"]
     overlap: Float[Array, "H B A"] | None
     delay: Int[Array, "*B"]
+    exec_horizon: Int[Array, "*B"]
 
     @property
     def prefix(self) -> Array:
@@ -187,8 +192,10 @@ def _compiled(sampler: Sampler, table: Any, request: ChunkRequest) -> Array:
 
 def _tile(table: Any, request: ChunkRequest, part: Any) -> tuple[Any, ChunkRequest]:
     """The field and the request of one tile."""
-    observed, noise, overlap, delay = part
-    tile = dataclasses.replace(request, noise=noise, overlap=overlap, delay=delay)
+    observed, noise, overlap, delay, exec_horizon = part
+    tile = dataclasses.replace(
+        request, noise=noise, overlap=overlap, delay=delay, exec_horizon=exec_horizon
+    )
     return table.part(observed), tile
 
 
@@ -200,7 +207,8 @@ def _tiles(size: int, table: Any, request: ChunkRequest) -> Any:
         padding = [(0, tiles * size - leaf.shape[0])] + [(0, 0)] * (leaf.ndim - 1)
         return jnp.pad(leaf, padding).reshape(tiles, size, *leaf.shape[1:])
 
-    return jax.tree.map(split, (table.observed, request.noise, request.overlap, request.delay))
+    own = (request.noise, request.overlap, request.delay, request.exec_horizon)
+    return jax.tree.map(split, (table.observed, *own))
 
 
 @dataclass(frozen=True)
@@ -229,12 +237,15 @@ def _step(index: Array, count: int) -> Step:
 def _token_major(request: ChunkRequest) -> Problem:
     geometry, noise = request.geometry, jnp.swapaxes(request.noise, 0, 1)
     delay = jnp.asarray(geometry.delay if request.delay is None else request.delay)
+    own = request.exec_horizon
+    exec_horizon = jnp.asarray(geometry.exec_horizon if own is None else own)
     overlap = request.overlap
     if overlap is not None:
         # What lies beyond the overlap is unknown (NaN, perhaps) and must not leak through 0 * x.
-        known_tokens = (jnp.arange(noise.shape[0]) < geometry.overlap)[:, None, None]
+        length = noise.shape[0] - jnp.atleast_1d(exec_horizon)
+        known_tokens = (jnp.arange(noise.shape[0])[:, None] < length)[..., None]
         overlap = jnp.where(known_tokens, jnp.swapaxes(overlap, 0, 1), 0.0)
-    return Problem(geometry, request.flow_steps, noise, overlap, delay)
+    return Problem(geometry, request.flow_steps, noise, overlap, delay, exec_horizon)
 
 
 def _checked(request: ChunkRequest) -> ChunkRequest:
@@ -259,7 +270,11 @@ def _checked(request: ChunkRequest) -> ChunkRequest:
             f"delay {longest} without an overlap: there is no committed action",
             "give the previous chunk as overlap, or use delay 0",
         )
-    return dataclasses.replace(request, noise=noise, overlap=overlap, delay=delay)
+    own = None
+    if request.exec_horizon is not None:
+        own = _per_example("exec_horizon", request.exec_horizon, noise.shape[0])
+        _check_pairs(horizon, own, request.geometry.delay if delay is None else delay)
+    return dataclasses.replace(request, noise=noise, overlap=overlap, delay=delay, exec_horizon=own)
 
 
 def _actions(name: str, value: Any) -> Array:
@@ -277,11 +292,7 @@ def _actions(name: str, value: Any) -> Array:
 def _checked_delay(request: ChunkRequest, batch: int) -> Array | None:
     if request.delay is None:
         return None
-    delay = jnp.asarray(request.delay)
-    if delay.shape != (batch,) or not jnp.issubdtype(delay.dtype, jnp.integer):
-        raise UsageError(
-            f"delay has shape {delay.shape} and dtype {delay.dtype}, needed is int32 ({batch},)"
-        )
+    delay = _per_example("delay", request.delay, batch)
     limit, largest = known(request.geometry.delay), _largest(delay)
     if largest is not None and (int(delay.min()) < 0 or (limit is not None and largest > limit)):
         raise UsageError(
@@ -289,7 +300,25 @@ def _checked_delay(request: ChunkRequest, batch: int) -> Array | None:
             " (geometry.delay)",
             "choose geometry.delay as the largest of them",
         )
-    return delay.astype(jnp.int32)
+    return delay
+
+
+def _per_example(name: str, value: Any, batch: int) -> Array:
+    given = jnp.asarray(value)
+    if given.shape != (batch,) or not jnp.issubdtype(given.dtype, jnp.integer):
+        raise UsageError(
+            f"{name} has shape {given.shape} and dtype {given.dtype}, needed is int32 ({batch},)"
+        )
+    return given.astype(jnp.int32)
+
+
+def _check_pairs(horizon: int, exec_horizon: Array, delay: Any) -> None:
+    """Check each example's own (s, d), as `ChunkGeometry` does; traced values are not."""
+    if any(isinstance(value, jax.core.Tracer) for value in (exec_horizon, delay)):
+        return
+    pairs = np.stack(np.broadcast_arrays(np.asarray(exec_horizon), np.asarray(delay)), axis=1)
+    for s, d in np.unique(pairs, axis=0).tolist():
+        ChunkGeometry(horizon=horizon, exec_horizon=s, delay=d)
 
 
 def _largest(delay: Array) -> int | None:

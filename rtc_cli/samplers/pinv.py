@@ -35,9 +35,11 @@ class Guided(Sampler):
         self, denoised: Float[Array, "H B A"], overlap: Float[Array, "H B A"], problem: Problem
     ) -> Float[Array, "H B A"]:
         """W * (Y - denoised), the weighted distance of the denoised chunk from the overlap Y."""
-        geometry = problem.geometry
         weights = overlap_weights(
-            geometry.horizon, geometry.exec_horizon, jnp.atleast_1d(problem.delay), self.mask
+            problem.geometry.horizon,
+            problem.exec_horizon,
+            jnp.atleast_1d(problem.delay),
+            self.mask,
         )
         return weights.T[..., None] * (overlap - denoised)
 

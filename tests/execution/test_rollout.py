@@ -1,6 +1,5 @@
 """Rollouts: equal to a tick-by-tick loop over the timeline, whatever runs beside an episode."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -9,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+from hover import HORIZON, STEPS, evaluate
 
 from rtc_cli.core.geometry import ChunkGeometry
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
+from rtc_cli.core.policy import Policy
 from rtc_cli.errors import DivergedError, UsageError
 from rtc_cli.execution.inference import ChunkMaker, chunk_noise, infer, noise_key
 from rtc_cli.execution.methods import Method, get_method
@@ -21,97 +21,12 @@ from rtc_cli.results import EPISODE_COLUMNS
 from rtc_cli.samplers import get_sampler
 from rtc_cli.tasks.batch import WorldBatch
 from rtc_cli.tasks.scene import (
-    Action,
-    Body,
-    Box,
-    Circle,
-    Jitter,
     Observe,
-    Role,
     Scene,
     Status,
-    Thruster,
 )
 
-HORIZON = 8
-STEPS = 2
 LABELS = {"train_seed", "protocol", "policy", "cell"}
-
-
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    """A disc between a hazardous floor and a target overhead, lifted by two weak thrusters."""
-    thrusters = [
-        Thruster(body="disc", action=name, max_force=9.0, point=(x, 0.0), direction=(-x, 1.0))
-        for name, x in (("left", -0.1), ("right", 0.1))
-    ]
-    slab = {"width": 8.0, "height": 0.2}
-    return Scene(
-        name="hover",
-        bodies=(
-            Body(name="floor", static=True, shapes=(Box(**slab, role=Role.HAZARD),)),
-            Body(
-                name="roof",
-                static=True,
-                position=(0.0, 4.0),
-                shapes=(Box(**slab, role=Role.TARGET),),
-            ),
-            Body(
-                name="disc",
-                position=(0.0, 2.0),
-                shapes=(Circle(radius=0.3, density=4.0, role=Role.GOAL),),
-            ),
-        ),
-        actions=(Action(name="left", low=0.0), Action(name="right", low=0.0)),
-        thrusters=tuple(thrusters),
-        observations=(
-            Observe(kind="y", body="disc"),
-            Observe(kind="vy", body="disc"),
-            Observe(kind="angular_velocity", body="disc"),
-        ),
-        jitters=(Jitter(bodies=("disc",), position=(0.1, 0.3)),),
-        bounds=(-4.0, -1.0, 4.0, 5.0),
-        max_ticks=100,
-    )
-
-
-@pytest.fixture(scope="module")
-def policy(scene: Scene) -> Policy:
-    config = PolicyConfig(
-        network="mixer",
-        options=(("layers", 1), ("channels", 16), ("channel_hidden", 16), ("token_hidden", 8)),
-        horizon=HORIZON,
-        obs_dim=scene.obs_dim,
-        action_dim=scene.action_dim,
-    )
-    normaliser = Normaliser(
-        jnp.zeros(scene.obs_dim),
-        jnp.ones(scene.obs_dim),
-        jnp.full(scene.action_dim, 0.75),
-        jnp.full(scene.action_dim, 0.3),
-    )
-    init = jax.jit(lambda key: Policy.init(config, normaliser, key, adaln_zero=False))
-    return init(jax.random.key(0))
-
-
-@pytest.fixture(scope="module")
-def worlds(scene: Scene) -> Iterator[WorldBatch]:
-    with WorldBatch(scene, 64) as batch:
-        yield batch
-
-
-def evaluate(
-    scene: Scene,
-    policy: Policy,
-    method: Method,
-    s: int,
-    d: int,
-    episodes: Any,
-    **options: Any,
-) -> pd.DataFrame:
-    settings: dict[str, Any] = {"flow_steps": STEPS, "eval_seed": 3, "tile": 16} | options
-    geometry = ChunkGeometry(HORIZON, s, d)
-    return evaluate_cell(scene, policy, method, geometry, episodes=episodes, **settings)
 
 
 def tick_by_tick(
