@@ -231,6 +231,10 @@ class EvalConfig(Section):
     The first `reaction_episodes` of them run once more in each cell, with a push. `action_noise`:
     standard deviations of the worlds' noise during evaluation, each with cells of its own; empty
     is the task's own. Data are collected with the task's own noise in any case.
+
+    `delay_models` take the place of `delays` where they are given: delays that vary from one
+    inference to the next, none longer than `delay_cap` (horizon - 1 without it). Every delay or
+    model is evaluated with each of `estimators`, which say what the sampler is told.
     """
 
     delays: Delays = (0, 1, 2, 3, 4)
@@ -244,12 +248,19 @@ class EvalConfig(Section):
     reaction_episodes: Count = 0
     action_noise: tuple[NonNegativeFloat, ...] = ()
     matrix: bool = False
+    delay_models: tuple[str, ...] = ()
+    delay_cap: Count | None = None
+    estimators: Names = ("exact",)
+    on_late: Literal["play", "discard"] = "play"
+    on_exceed: Literal["play", "clamp", "fail"] = "play"
+    observation_lag: Count = 0
     pinv: PinvConfig = PinvConfig()
     tune: TuneConfig | None = None
 
     _check_delays = field_validator("delays")(_ascending)
     _check_methods = field_validator("methods")(_unique)
     _check_noise = field_validator("action_noise")(_unique)
+    _check_timing = field_validator("delay_models", "estimators")(_unique)
 
     @model_validator(mode="after")
     def _check_counts(self) -> Self:
@@ -258,6 +269,8 @@ class EvalConfig(Section):
                 f"reaction_episodes {self.reaction_episodes} exceeds episodes {self.episodes}, "
                 "of which they are the first"
             )
+        if self.delay_cap is not None and not self.delay_models:
+            raise ValueError(f"delay_cap {self.delay_cap} has nothing to cap without delay_models")
         if "oracle" in self.methods and "naive" not in self.methods:
             raise ValueError('methods: "oracle" is read against "naive"; name both')
         return self
@@ -421,10 +434,32 @@ class Recipe(Section):
         """SHA-256 (hex) of some top-level fields but for `train.seeds`."""
         content = self.model_dump(mode="json", include=set(fields))
         content.get("train", {}).pop("seeds", None)
-        if "network" in content:  # sizes that a kind of network does not have do not enter
-            content["network"] = {k: v for k, v in content["network"].items() if v is not None}
+        _leave_out_later_defaults(content)
         text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+# Keys that older runs were made without: at their defaults they leave the hash as it was.
+_LATER_EVAL_KEYS = (
+    "delay_models",
+    "delay_cap",
+    "estimators",
+    "on_late",
+    "on_exceed",
+    "observation_lag",
+)
+
+
+_LATER_NETWORK_KEYS = ("heads", "kv_heads", "head_dim", "context")
+
+
+def _leave_out_later_defaults(content: dict[str, Any]) -> None:
+    later = {"eval": (EvalConfig, _LATER_EVAL_KEYS), "network": (NetworkConfig, _LATER_NETWORK_KEYS)}
+    for name, (section, keys) in later.items():
+        defaults, given = section().model_dump(mode="json"), content.get(name, {})
+        for key in keys:
+            if key in given and given[key] == defaults[key]:
+                del given[key]
 
 
 def recipes_folder() -> Path:

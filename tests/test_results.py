@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from rtc_cli.errors import StateError
@@ -35,6 +37,7 @@ CONTENT: dict[str, Any] = {
     "reaction_episodes": 2,
     "reaction": {"push_m_s": 1.0},
     "tile": 32,
+    "timing": {"delay_model": "uniform:0-4"},
 }
 
 
@@ -58,6 +61,12 @@ def test_every_part_of_a_cell_is_in_its_key(name: str) -> None:
     other = {"mask": "ones"} if isinstance(value, dict) else "sync" if value == "async" else None
     other = other or (value + 1 if isinstance(value, int) else value + "x")
     assert cell_key(**CONTENT | {name: other}) != cell_key(**CONTENT)
+
+
+def test_cells_of_constant_delays_keep_the_key_of_earlier_versions() -> None:
+    """Computed by the version before there were other delays."""
+    content = {name: value for name, value in CONTENT.items() if name != "timing"}
+    assert cell_key(**content) == cell_key(**content, timing=None) == "1464913133ba62332461"
 
 
 def test_key_ignores_what_does_not_matter() -> None:
@@ -102,6 +111,41 @@ def test_one_content_under_two_labels(tmp_path: Path) -> None:
 def test_files_are_reproducible(tmp_path: Path) -> None:
     first = ResultStore(tmp_path / "a").append("k1", rows()).read_bytes()
     assert ResultStore(tmp_path / "b").append("k1", rows()).read_bytes() == first
+
+
+def write_version_3(path: Path, frame: pd.DataFrame) -> None:
+    new = ("delay_model", "estimator", "on_late", "on_exceed", "observation_lag")
+    new += ("dropped_chunks", "clipped_requests", "exceeded_requests")
+    fields = [field for field in EPISODE_SCHEMA if field.name not in new]
+    schema = pa.schema(fields, metadata={"rtc_schema": "3"})
+    table = pa.Table.from_pandas(frame.drop(columns=list(new)), schema, preserve_index=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(table, path, write_page_checksum=True)
+
+
+def test_rows_of_version_3_are_completed(tmp_path: Path) -> None:
+    given = rows().assign(
+        cell="k1", delay=3, exec_horizon=4, length=[1, 4, 5, 9], beyond_trained=[True, False] * 2
+    )
+    write_version_3(tmp_path / "k1.naive.paper.seed-0.parquet", given)
+    loaded = ResultStore(tmp_path).load()
+    expected = given.assign(
+        delay_model="constant:3", estimator="exact", on_late="play", on_exceed="play",
+        observation_lag=0, dropped_chunks=0, clipped_requests=0, exceeded_requests=[1, 0, 2, 0],
+    )  # fmt: skip
+    pd.testing.assert_frame_equal(loaded, expected, check_dtype=False)
+    # Together with rows of this version, and written again as such.
+    ResultStore(tmp_path).append("k2", loaded)
+    assert len(ResultStore(tmp_path).load()) == 8
+
+
+def test_incomplete_rows_of_version_3_are_damage(tmp_path: Path) -> None:
+    path = tmp_path / "k1.naive.paper.seed-0.parquet"
+    write_version_3(path, rows().assign(cell="k1"))
+    table = pq.read_table(path)
+    pq.write_table(table.drop_columns(["delay"]), path, write_page_checksum=True)
+    with pytest.raises(StateError, match="lack columns of schema 3"):
+        ResultStore(tmp_path).load()
 
 
 @pytest.mark.parametrize("damage", ["truncate", "flip", "empty", "text", "pickle"])

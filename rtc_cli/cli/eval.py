@@ -8,11 +8,17 @@ import typer
 
 from rtc_cli.cli.live import run_jobs
 from rtc_cli.cli.options import (
+    DelayCapOption,
+    DelayModelOption,
     DelaysOption,
     EpisodesOption,
+    EstimatorOption,
     FlowStepsOption,
     JsonOption,
     MethodsOption,
+    ObservationLagOption,
+    OnExceedOption,
+    OnLateOption,
     ProtocolOption,
     RunOption,
     TasksOption,
@@ -33,7 +39,8 @@ app = typer.Typer()
 @app.command(
     name="eval",
     epilog="Examples:  rtc eval --delays 0-4   |   "
-    "rtc eval --methods naive,prefix --protocol fixed:4   |   rtc eval --matrix --json",
+    "rtc eval --methods naive,prefix --protocol fixed:4   |   rtc eval --matrix --json   |   "
+    "rtc eval --delay-model uniform:0-4 --estimator max-of-last:10 --protocol fixed:4",
 )
 def evaluate(
     run: RunOption = None,
@@ -71,6 +78,12 @@ def evaluate(
         bool,
         typer.Option("--matrix", help="Add {base, prefix} x {plain, pinv, prefix}."),
     ] = False,
+    delay_model: DelayModelOption = None,
+    delay_cap: DelayCapOption = None,
+    estimator: EstimatorOption = None,
+    on_late: OnLateOption = None,
+    on_exceed: OnExceedOption = None,
+    observation_lag: ObservationLagOption = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -78,6 +91,7 @@ def evaluate(
 
     Evaluates a trained run's checkpoints; cells that the run already holds are not computed again.
     Delays are control steps. Training seeds are the unit of replication of the differences.
+    Delays may vary: --delay-model says how, --estimator what the sampler is told of them.
     """
     from rtc_cli.cli.evaluated import evaluation_document, evaluation_tables, selected_episodes
     from rtc_cli.pipeline.checks import check_evaluation
@@ -87,8 +101,19 @@ def evaluate(
 
     with output(as_json) as out:
         opened = open_run(run) if run is not None else newest_run()
+        if delays is not None and delay_model:
+            raise UsageError(
+                f"--delays {delays} and --delay-model {delay_model[0]} are two kinds of delays",
+                "give one of them; a delay that does not vary is a model too: constant:2",
+            )
         changes: dict[str, Any] = {
             "delays": parse_delays(delays) if delays is not None else None,
+            "delay_models": delay_model or (None if delays is None else []),
+            "delay_cap": delay_cap,
+            "estimators": estimator or None,
+            "on_late": on_late,
+            "on_exceed": on_exceed,
+            "observation_lag": observation_lag,
             "methods": _methods(methods),
             "protocols": split_names(protocol) if protocol is not None else None,
             "episodes": episodes,
@@ -125,6 +150,8 @@ def _changed(
     content["eval"]["pinv"] |= {n: value for n, value in guidance.items() if value is not None}
     if changes["methods"] is not None:
         content["eval"].pop("tune", None)
+    if not content["eval"]["delay_models"] and changes["delay_cap"] is None:
+        content["eval"].pop("delay_cap", None)
     return recipe_from_dict(content, "options", fix="change that option").eval
 
 

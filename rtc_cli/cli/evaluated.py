@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rtc_cli.cli.output import document
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from rich.console import RenderableType
 
+    from rtc_cli.execution.timing import Timing
     from rtc_cli.report.sections import Results
 
 SINGLY = 4
@@ -27,7 +29,7 @@ def selected_episodes(
     import numpy as np
 
     from rtc_cli.execution.protocols import OPEN_LOOP
-    from rtc_cli.pipeline.evaluation import TUNED, methods_of
+    from rtc_cli.pipeline.evaluation import TUNED, methods_of, timings_of
     from rtc_cli.report.inputs import load_episodes
 
     rows = load_episodes(run.folder)
@@ -36,26 +38,34 @@ def selected_episodes(
     names = {method.name for method in methods_of(config)}
     if TUNED in config.methods or config.tune is not None:
         names.add(TUNED)
-    first = config.first_episode
+    first, timings = config.first_episode, timings_of(config, run.recipe.horizon)
     wanted = {
         "task": [short_name(task) for task in tasks],
         "train_seed": seeds,
         "method": names,
         "protocol": config.protocols,
-        "delay": config.delays,
+        "delay": [timing.delay for timing in timings],
         "flow_steps": (config.flow_steps,),
         "episode": range(first, first + config.episodes),
     }
-    asked = [rows[column].isin(list(values)) for column, values in wanted.items()]
+    asked = {column: rows[column].isin(list(values)) for column, values in wanted.items()}
+    asked["timing"] = _timing_asked(rows, timings)
     if "oracle" in config.methods:
         # Without delay, whatever the delays asked for: the losses are measured from there.
         reference = rows["protocol"] == OPEN_LOOP
-        free = ("protocol", "delay")
-        asked = [
-            mask | reference if column in free else mask
-            for column, mask in zip(wanted, asked, strict=True)
-        ]
-    return rows[np.logical_and.reduce([*asked, _noise_asked(rows, config, tasks)])]
+        for free in ("protocol", "delay", "timing"):
+            asked[free] |= reference
+    return rows[np.logical_and.reduce([*asked.values(), _noise_asked(rows, config, tasks)])]
+
+
+def _timing_asked(rows: pd.DataFrame, timings: Sequence[Timing]) -> pd.Series[bool]:
+    """Say which rows have the delays, estimators and the like that were asked for."""
+    import pandas as pd
+
+    names = list(timings[0].columns)
+    asked = {tuple(timing.columns.values()) for timing in timings}
+    found = zip(*(rows[name] for name in names), strict=True)
+    return pd.Series([row in asked for row in found], rows.index)
 
 
 def _noise_asked(rows: pd.DataFrame, config: EvalConfig, tasks: tuple[str, ...]) -> pd.Series[bool]:
@@ -104,5 +114,6 @@ def evaluation_tables(results: Results) -> list[RenderableType]:
             tables.append(render.render_differences(results.differences, protocol, task=task))
         if results.matrix and protocol != "grid":
             tables.append(render.render_matrix(results.matrix, protocol))
+    tables.extend(render.render_cases(results.summary))
     tables.extend(render_losses(results.losses))
     return [*tables, *render.render_d90(results.d90)]

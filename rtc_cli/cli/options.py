@@ -28,6 +28,15 @@ def complete_list(names: Callable[[], Iterable[str]]) -> Callable[[str], list[st
     return complete
 
 
+def complete_first(texts: Iterable[str]) -> Callable[[str], list[str]]:
+    """Return a completion of one of some texts."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [text for text in texts if text.startswith(incomplete)]
+
+    return complete
+
+
 def _tasks() -> Iterable[str]:
     from rtc_cli.tasks import list_tasks
 
@@ -99,6 +108,64 @@ DelaysOption = Annotated[
         metavar="LIST",
         help="Delays in control steps: integers and inclusive ranges, as in 0,2-4.  "
         "[default: the recipe's]",
+    ),
+]
+DelayModelOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--delay-model",
+        metavar="MODEL",
+        help="Delays that vary, instead of --delays: constant:2, uniform:0-4, poisson:1.5, "
+        "mixture:0.9*constant:1+0.1*uniform:3-6. Repeatable.",
+        autocompletion=complete_first(("constant:", "uniform:", "poisson:", "mixture:")),
+    ),
+]
+DelayCapOption = Annotated[
+    int | None,
+    typer.Option(
+        "--delay-cap",
+        min=0,
+        metavar="N",
+        help="No delay of a model is longer.  [default: horizon - 1]",
+    ),
+]
+EstimatorOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--estimator",
+        metavar="ESTIMATOR",
+        help="Which delay the sampler is told: exact, max-of-last:10, percentile:0.95, constant:3. "
+        "Repeatable.  [default: the recipe's]",
+        autocompletion=complete_first(("exact", "max-of-last:", "percentile:", "constant:")),
+    ),
+]
+OnLateOption = Annotated[
+    str | None,
+    typer.Option(
+        "--on-late",
+        metavar="play|discard",
+        help="A chunk later than the sampler was told: play its rest, or drop it.  "
+        "[default: the recipe's]",
+        autocompletion=complete_first(("play", "discard")),
+    ),
+]
+OnExceedOption = Annotated[
+    str | None,
+    typer.Option(
+        "--on-exceed",
+        metavar="play|clamp|fail",
+        help="A told delay beyond the trained ones: tell and flag it, clamp it, or fail the cell.  "
+        "[default: the recipe's]",
+        autocompletion=complete_first(("play", "clamp", "fail")),
+    ),
+]
+ObservationLagOption = Annotated[
+    int | None,
+    typer.Option(
+        "--observation-lag",
+        min=0,
+        metavar="TICKS",
+        help="The observation at tick t shows t - TICKS.  [default: the recipe's]",
     ),
 ]
 MethodsOption = Annotated[

@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rtc_cli.errors import DivergedError, StateError
+from rtc_cli.errors import DivergedError, PartialResult, StateError, UsageError
+from rtc_cli.execution.delay_models import constant, read_delay_model
+from rtc_cli.execution.estimators import read_estimator
 from rtc_cli.execution.methods import METHODS, Method, get_method, get_methods
+from rtc_cli.execution.timing import Timing
 from rtc_cli.files import read_json, write_json
 from rtc_cli.levels import short_name
 from rtc_cli.pipeline.executors import Progress
@@ -25,6 +28,7 @@ from rtc_cli.tasks import get_task
 if TYPE_CHECKING:
     from rtc_cli.core.geometry import ChunkGeometry
     from rtc_cli.core.policy import Policy
+    from rtc_cli.execution.delay_models import DelayModel
     from rtc_cli.results import ResultStore
     from rtc_cli.tasks.scene import Scene
 
@@ -36,13 +40,15 @@ TUNED = "pinv-tuned"
 class Cell:
     """One point to evaluate: a method under a protocol at (H, s, d).
 
-    `action_noise` replaces the task's own in the worlds of this cell; None leaves it.
+    `action_noise` replaces the task's own in the worlds of this cell; None leaves it. `timing` has
+    delays that vary and the like; None is the geometry's delay, always.
     """
 
     method: Method
     protocol: str
     geometry: ChunkGeometry
     action_noise: float | None = None
+    timing: Timing | None = None
 
     def scene(self, own: Scene) -> Scene:
         """Return the scene to evaluate in, from the task's own."""
@@ -96,23 +102,54 @@ def cells_of(config: EvalConfig, horizon: int, methods: Sequence[Method]) -> tup
     Cells of one action noise follow each other. Beside `oracle`, `naive` is evaluated without delay
     too, open loop: that is what the losses under delay are measured from.
     """
-    from rtc_cli.execution.protocols import OPEN_LOOP, open_loop_cells, protocol_cells
+    from rtc_cli.execution.protocols import OPEN_LOOP, open_loop_cells
 
-    geometries = {
-        protocol: protocol_cells(protocol, horizon, config.delays) for protocol in config.protocols
-    }
+    points = {protocol: _points(config, horizon, protocol) for protocol in config.protocols}
     cells = [
-        Cell(method, protocol, geometry)
-        for protocol, own in geometries.items()
-        for geometry in own
+        Cell(method, protocol, geometry, timing=None if timing.is_plain else timing)
+        for protocol, own in points.items()
+        for geometry, timing in own
         for method in methods
     ]
     naive = [method for method in methods if method.name == "naive"]
     if naive and "oracle" in config.methods:
-        every = [geometry for own in geometries.values() for geometry in own]
+        every = [geometry for own in points.values() for geometry, _ in own]
         cells += [Cell(naive[0], OPEN_LOOP, geometry) for geometry in open_loop_cells(every)]
     noises = config.action_noise or (None,)
     return tuple(dataclasses.replace(cell, action_noise=n) for n in noises for cell in cells)
+
+
+def timings_of(config: EvalConfig, horizon: int) -> tuple[Timing, ...]:
+    """Return all timings of an evaluation: each constant delay or model with each estimator."""
+    cap = horizon - 1 if config.delay_cap is None else config.delay_cap
+    models: list[DelayModel] = [read_delay_model(text).capped(cap) for text in config.delay_models]
+    models = models or [constant(delay) for delay in config.delays]
+    estimators = [read_estimator(text) for text in config.estimators]
+    timings = (
+        Timing(model, estimator, config.on_late, config.on_exceed, config.observation_lag)
+        for estimator in estimators
+        for model in models
+    )
+    # Where nothing can be late, what happens to late chunks does not tell cells apart.
+    plain = (dataclasses.replace(t, on_late="play") if t.is_plain else t for t in timings)
+    return tuple(dict.fromkeys(plain))
+
+
+def _points(config: EvalConfig, horizon: int, protocol: str) -> list[tuple[ChunkGeometry, Timing]]:
+    """Return the geometries of a protocol, each with each of its timings."""
+    from rtc_cli.execution.protocols import protocol_cells
+
+    timings = timings_of(config, horizon)
+    delays = dict.fromkeys(timing.delay for timing in timings)
+    try:
+        geometries = protocol_cells(protocol, horizon, delays)
+    except UsageError as error:
+        if not config.delay_models:
+            raise
+        shown = ", ".join(dict.fromkeys(f"{t.model.text} as {t.delay}" for t in timings))
+        why = f"{error.message}; a delay model counts as its mean in whole steps: {shown}"
+        raise UsageError(why, error.hint) from None
+    return [(g, timing) for timing in timings for g in geometries if g.delay == timing.delay]
 
 
 def target_of(
@@ -143,7 +180,8 @@ def evaluate(
     """Evaluate the cells that are missing, and label those that are there under another name.
 
     A cell in which the policy's chunks become NaN or infinite ends the evaluation with
-    DivergedError, or is handed to `on_diverged` and passed over.
+    DivergedError, or is handed to `on_diverged` and passed over. A cell that exceeds the trained
+    delays although it must not is left out; PartialResult names it once the others are done.
     """
     from rtc_cli.execution.rollout import SLOTS
     from rtc_cli.results import ResultStore
@@ -152,6 +190,7 @@ def evaluate(
     store = ResultStore(target.store)
     checkpoints = _Checkpoints(target)
     missing = [cell for cell in cells if not _is_present(store, checkpoints, cell)]
+    failed: list[tuple[Cell, PartialResult]] = []
     numbered = enumerate(missing)
     for _, group in itertools.groupby(numbered, key=lambda pair: pair[1].action_noise):
         alike = list(group)
@@ -170,12 +209,24 @@ def evaluate(
                     if on_diverged is None:
                         raise
                     on_diverged(cell, error)
+                except PartialResult as error:
+                    failed.append((cell, error))
+    if failed:
+        cell, why = failed[0]
+        raise PartialResult(
+            f"{len(failed)} of {len(missing)} cells failed, the others are done; "
+            f"{target.task}, {_note(cell)}: {why.message}",
+            why.hint,
+        )
 
 
 def _note(cell: Cell) -> str:
     noise = "" if cell.action_noise is None else f", noise {cell.action_noise:g}"
     geometry = cell.geometry
-    return f"{cell.method.name}, d = {geometry.delay}, s = {geometry.exec_horizon}{noise}"
+    timing = "" if cell.timing is None else f", {cell.timing.model.text}"
+    told = "" if cell.timing is None else f", {cell.timing.estimator.text}"
+    point = f"d = {geometry.delay}, s = {geometry.exec_horizon}"
+    return f"{cell.method.name}, {point}{timing}{told}{noise}"
 
 
 class _Checkpoints:
@@ -221,8 +272,9 @@ class _Checkpoints:
         from rtc_cli.results import cell_key
 
         target, geometry = self.target, cell.geometry
+        _, digest, support = self.get(cell.method.checkpoint)
         return cell_key(
-            policy=self.get(cell.method.checkpoint)[1],
+            policy=digest,
             task=short_name(target.task),
             scene=cell.scene(self.scene).digest,
             sampler=cell.method.sampler,
@@ -239,7 +291,17 @@ class _Checkpoints:
             reaction_episodes=target.reaction_episodes,
             reaction=reaction.definition(),
             tile=TILE,
+            timing=_timing_content(cell, support),
         )
+
+
+def _timing_content(cell: Cell, support: tuple[int, ...] | None) -> dict[str, Any] | None:
+    """Return what decides the delays of a cell; a clamp is to the longest trained delay."""
+    from rtc_cli.execution.rollout import longest_trained
+
+    if cell.timing is None:
+        return None
+    return cell.timing.content | {"trained": longest_trained(cell.method, support)}
 
 
 def _is_present(store: ResultStore, checkpoints: _Checkpoints, cell: Cell) -> bool:
@@ -269,6 +331,7 @@ def _evaluate_cell(
             hold=target.hold,  # type: ignore[arg-type]
             trained_support=support,
             reaction_episodes=target.reaction_episodes,
+            timing=cell.timing,
             worlds=worlds,
             progress=progress,
         )

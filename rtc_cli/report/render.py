@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rtc_cli.levels import task_label
-from rtc_cli.report.selection import fits_protocol, method_order
+from rtc_cli.report.selection import condition_label, fits_protocol, method_order
 from rtc_cli.report.tables import ALL, Row, pick
 from rtc_cli.report.text import difference_interval_text, interval, points
 
@@ -66,12 +66,19 @@ def differences_grid(
     cells = _cells(mine)
     lines = []
     for method, baseline in dict.fromkeys((row["method"], row["baseline"]) for row in mine):
-        line = [f"{method} − {baseline}"]
+        line = [pair_text(method, baseline)]
         for delay, s in cells:
             found = pick(mine, method=method, baseline=baseline, delay=delay, exec_horizon=s)
             line.append(_difference_cell(found[0], intervals) if found else "-")
         lines.append(line)
     return Grid(["difference", *_heads(cells)], lines)
+
+
+def pair_text(method: str, baseline: str) -> str:
+    """Name a difference; the noise and delays of both are said once."""
+    label = condition_label(method)
+    shared = label and label == condition_label(baseline)
+    return f"{method.removesuffix(label) if shared else method} − {baseline}"
 
 
 def _difference_cell(row: Row, intervals: bool) -> str:
@@ -148,6 +155,9 @@ METRIC_TITLES = {
     "throughput_per_min": "solved per minute",
     "starved_ticks": "starved ticks",
     "late_chunks": "late chunks",
+    "dropped_chunks": "dropped chunks",
+    "clipped_requests": "clipped requests",
+    "exceeded_requests": "exceeded requests",
     "waiting_ticks": "waiting ticks",
 }
 
@@ -161,6 +171,27 @@ def metrics_grid(rows: Sequence[Row], delay: int) -> Grid:
         for row in mine
     ]
     return Grid(["method", *(METRIC_TITLES[name] for name in shown)], lines)
+
+
+CASES = {
+    "late_chunks": "late",
+    "dropped_chunks": "dropped",
+    "starved_ticks": "starved",
+    "clipped_requests": "clipped",
+    "exceeded_requests": "exceeded",
+}
+
+
+def cases_grid(rows: Sequence[Row]) -> Grid:
+    """Return how often something special happened per episode, where anything did."""
+    mine = pick(rows, task=ALL, train_seed=ALL)
+    lines = [
+        [row["method"], f"d={row['delay']} s={row['exec_horizon']}"]
+        + [f"{row[name]:.3g}" for name in CASES]
+        for row in mine
+        if any(row.get(name) for name in CASES)
+    ]
+    return Grid(["method", "cell", *CASES.values()], lines, left=2)
 
 
 # -- terminal --------------------------------------------------------------------------------
@@ -222,6 +253,18 @@ def render_differences(rows: Sequence[Row], protocol: str, *, task: str = ALL) -
     return rich_table(
         differences_grid(mine, protocol, task=task), title, difference_interval_text(mine)
     )
+
+
+def render_cases(rows: Sequence[Row]) -> "list[Table]":
+    """Return one rich table per protocol of what happened to requests and chunks."""
+    caption = "late and dropped chunks, starved ticks, clipped and exceeded requests"
+    tables = []
+    for protocol in dict.fromkeys(row["protocol"] for row in rows):
+        grid = cases_grid(pick(rows, protocol=protocol))
+        if grid.rows:
+            title = f"Per episode, protocol {protocol}"
+            tables.append(rich_table(grid, title, caption))
+    return tables
 
 
 def render_d90(rows: Sequence[Row]) -> "list[Table]":

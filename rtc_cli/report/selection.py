@@ -30,10 +30,15 @@ METRICS = (
     "action_delta2",
     "starved_ticks",
     "late_chunks",
+    "dropped_chunks",
+    "clipped_requests",
+    "exceeded_requests",
     "waiting_ticks",
     "reaction_ticks",
     "measured_reaction_ticks",
 )
+# How delays vary, and what the sampler is told of them.
+TIMING = ("delay_model", "estimator", "on_late", "on_exceed", "observation_lag")
 # Label of cells that exist only for the loss decomposition: naive at d = 0 for every s.
 OPEN_LOOP = "open-loop"
 _NEEDED = (*IDENTITY, "checkpoint", "sampler", "schedule", "protocol", "solved")
@@ -64,7 +69,7 @@ def prepare(episodes: pd.DataFrame, *, reference: bool = False) -> pd.DataFrame:
     if episodes.empty:
         raise StateError("there are no evaluated episodes", "run `rtc eval` first")
     rows = _label_settings(episodes.assign(method=episodes["method"].replace(_SAME_AS)))
-    rows = _label_noise(rows)
+    rows = _label_timing(_label_noise(rows))
     protocols = sorted(set(rows["protocol"].astype(str)) - {OPEN_LOOP}, key=_protocol_order)
     _refuse_mixed(rows)
     rows = rows.drop_duplicates(list(IDENTITY))
@@ -97,9 +102,36 @@ def _label_noise(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(method=rows["method"] + " (noise " + rows["action_noise"].map(str) + ")")
 
 
-def noise_label(method: str) -> str:
-    """Return the part of a method's name that tells its world noise; "" where there is none."""
-    found = re.search(r" \(noise [^()]*\)$", method)
+def _label_timing(rows: pd.DataFrame) -> pd.DataFrame:
+    """Tell what was evaluated under delays that vary, and the like, as if it were a method."""
+    if not set(TIMING) <= set(rows.columns):
+        return rows
+    combinations = rows[list(TIMING)].drop_duplicates().itertuples(index=False, name=None)
+    labels = {found: timing_label(*found) for found in combinations}
+    found = zip(*(rows[name] for name in TIMING), strict=True)
+    return rows.assign(method=rows["method"] + [labels[row] for row in found])
+
+
+def timing_label(
+    delay_model: str, estimator: str, on_late: str, on_exceed: str, observation_lag: int
+) -> str:
+    """Return what is said after a method's name; "" for one delay that everybody knows."""
+    constant = re.fullmatch(r"constant:\d+", delay_model) is not None
+    parts = [
+        "" if estimator == "exact" else estimator,
+        "" if on_late == "play" else on_late,
+        "" if on_exceed == "play" else on_exceed,
+        f"lag {observation_lag}" if observation_lag else "",
+    ]
+    said = ", ".join(part for part in parts if part)
+    if constant:
+        return f" (delays constant, {said})" if said else ""
+    return f" (delays {', '.join(part for part in (delay_model, said) if part)})"
+
+
+def condition_label(method: str) -> str:
+    """Return the part of a method's name that tells noise and delays; "" where there is none."""
+    found = re.search(r"( \((noise|delays) [^()]*\))+$", method)
     return found[0] if found else ""
 
 

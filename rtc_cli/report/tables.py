@@ -17,9 +17,10 @@ from rtc_cli.errors import StateError, did_you_mean
 from rtc_cli.intervals import d90, paired_by_episode, paired_by_seed, wilson
 from rtc_cli.report.selection import (
     METRICS,
+    TIMING,
+    condition_label,
     in_protocol,
     method_order,
-    noise_label,
     prepare,
     protocols_of,
 )
@@ -82,6 +83,7 @@ def _count(rows: pd.DataFrame, metrics: list[str]) -> pd.DataFrame:
     }
     if "beyond_trained" in rows.columns:
         aggregates["beyond_trained"] = ("beyond_trained", "max")
+    aggregates |= {name: (name, "first") for name in TIMING if name in rows.columns}
     aggregates |= {name: (name, "mean") for name in metrics}
     return groups.agg(**aggregates).reset_index()
 
@@ -108,6 +110,7 @@ def _task_row(cell: Mapping[Any, Any], protocol: str, metrics: list[str]) -> Row
         "beyond_trained": bool(cell.get("beyond_trained", False)),
         **{name: number(cell[name]) for name in metrics},
         "settings": str(cell["settings"]),
+        **{name: cell[name] for name in TIMING if name in cell},
     }
 
 
@@ -161,11 +164,11 @@ def main_flow_steps(episodes: pd.DataFrame) -> int:
 def pairs_among(
     methods: Iterable[str], pairs: Iterable[tuple[str, str]] = DEFAULT_PAIRS
 ) -> list[tuple[str, str]]:
-    """Return the pairs (method, baseline) whose two methods were evaluated, at the same noise."""
+    """Return the pairs (method, baseline) that were evaluated, with the same noise and delays."""
     present, pairs = set(methods), list(pairs)
     labelled = [
         (method + label, baseline + label)
-        for label in sorted({noise_label(method) for method in present})
+        for label in sorted({condition_label(method) for method in present})
         for method, baseline in pairs
     ]
     return [pair for pair in labelled if present.issuperset(pair)]

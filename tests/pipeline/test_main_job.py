@@ -87,7 +87,11 @@ def test_rows_do_not_depend_on_workers_and_present_cells_are_not_computed_again(
 ) -> None:
     _rtc("run", "quickstart", "--run", "one", "--workers", "1", *SETTINGS, folder=tmp_path)
     _rtc("run", "quickstart", "--run", "two", "--workers", "2", *SETTINGS, folder=tmp_path)
+    varying = ("--delay-model", "uniform:0-4", "--estimator", "max-of-last:3")
+    for name, workers in (("one", "1"), ("two", "2")):
+        _rtc("eval", "--run", name, "--workers", workers, *varying, folder=tmp_path)
     one, two = (_rows(tmp_path / name) for name in ("one", "two"))
+    assert set(one.delay_model) == {"constant:0", "constant:2", "uniform:0-4"}
     pd.testing.assert_frame_equal(one, two)
     cells = sorted((tmp_path / "one" / "results" / "episodes").glob("*.parquet"))
     times = [path.stat().st_mtime_ns for path in cells]
@@ -101,4 +105,4 @@ def test_rows_do_not_depend_on_workers_and_present_cells_are_not_computed_again(
 
 def _rows(run: Path) -> pd.DataFrame:
     rows = ResultStore(run / "results" / "episodes").load()
-    return rows.sort_values(["method", "delay", "episode"], ignore_index=True)
+    return rows.sort_values(["method", "delay", "delay_model", "episode"], ignore_index=True)

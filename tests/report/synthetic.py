@@ -65,13 +65,14 @@ def cell(
     first_episode: int = 0,
     policy: str | None = None,
     action_noise: float = 0.1,
+    **timing: Any,
 ) -> pd.DataFrame:
     """One cell with given outcomes; the other metrics are made up from the outcome."""
     n = len(solved)
     outcome = np.asarray(solved, bool)
     checkpoint, sampler, schedule = triple
     where = f"{checkpoint}{sampler}{settings}{schedule}{task}{seed}{delay}{exec_horizon}{n}"
-    where += f"noise{action_noise}"
+    where += f"noise{action_noise}" + (str(timing) if timing else "")
     columns: dict[str, Any] = {
         "task": task,
         "method": method,
@@ -85,6 +86,11 @@ def cell(
         "exec_horizon": exec_horizon,
         "flow_steps": 5,
         "action_noise": action_noise,
+        "delay_model": f"constant:{delay}",
+        "estimator": "exact",
+        "on_late": "play",
+        "on_exceed": "play",
+        "observation_lag": 0,
         "episode": np.arange(first_episode, first_episode + n),
         "status": np.where(outcome, 1, 2),
         "solved": outcome,
@@ -98,6 +104,9 @@ def cell(
         "action_delta2": 0.34,
         "starved_ticks": 0,
         "late_chunks": 0,
+        "dropped_chunks": 0,
+        "clipped_requests": 0,
+        "exceeded_requests": 0,
         "waiting_ticks": delay * 7 if schedule == "sync" else 0,
         "reaction_ticks": delay + (exec_horizon - 1) / 2,
         "measured_reaction_ticks": 1.1 * delay + exec_horizon / 2 + (sampler == "pinv"),
@@ -106,6 +115,7 @@ def cell(
         "policy": policy or hashlib.sha256(f"{checkpoint}{task}{seed}".encode()).hexdigest()[:16],
         "scene": hashlib.sha256(task.encode()).hexdigest()[:16],
     }
+    columns |= timing
     return pd.DataFrame(columns)[list(EPISODE_COLUMNS)]
 
 

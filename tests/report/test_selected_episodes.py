@@ -29,3 +29,29 @@ def test_an_evaluation_shows_the_noises_that_it_asked_for(synthetic, overrides, 
     rows = selected_episodes(run, run.recipe.eval, run.recipe.tasks, (0,))
     assert set(rows["action_noise"]) == noises
     assert len(rows) == 8 * len(noises)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "models"),
+    [
+        ([], {"constant:2"}),
+        (['eval.delay_models=["uniform:0-4"]'], {"uniform:0-4"}),
+        (['eval.delay_models=["uniform:0-4", "constant:2"]'], {"uniform:0-4", "constant:2"}),
+        (['eval.delay_models=["poisson:2"]'], set()),
+        (["eval.observation_lag=1"], set()),
+    ],
+)
+def test_an_evaluation_shows_the_delays_that_it_asked_for(synthetic, overrides, models, tmp_path):
+    run = create_run(load_recipe("quickstart", ["eval.episodes=8", *overrides]), tmp_path / "run")
+    store = ResultStore(run.results / "episodes")
+    for model in ("constant:2", "uniform:0-4"):
+        for estimator in ("exact", "max-of-last:3"):
+            frame = synthetic.cell(
+                "naive", "cartpole_thrust", 0, "paper", 2, 2, [True] * 8,
+                delay_model=model, estimator=estimator,
+            )  # fmt: skip
+            store.append(frame["cell"].iloc[0], frame)
+    rows = selected_episodes(run, run.recipe.eval, run.recipe.tasks, (0,))
+    assert set(rows["delay_model"]) == models
+    assert set(rows["estimator"]) <= {"exact"}
+    assert len(rows) == 8 * len(models)

@@ -141,6 +141,23 @@ def test_delay_per_example(name, policy):
 
 
 @pytest.mark.parametrize("name", SAMPLERS)
+def test_exec_horizon_per_example(name, policy):
+    """Rows with their own (s, d) get what a request of that (s, d) gets, inside jit and outside."""
+    pairs = [(1, 0), (3, 2), (H, 0), (4, 4)]
+    own = {
+        "exec_horizon": jnp.array([s for s, _ in pairs]),
+        "delay": jnp.array([d for _, d in pairs]),
+    }
+    sampler, field = get_sampler(name), policy.velocity(observations())
+    mixed = dataclasses.replace(request(4, 4), **own)
+    together = sampler(field, mixed)
+    one = jax.jit(lambda r: sampler(field, r))
+    np.testing.assert_allclose(together, one(mixed), atol=1e-5)
+    for example, (s, d) in enumerate(pairs):
+        np.testing.assert_allclose(together[example], one(request(s, d))[example], atol=1e-5)
+
+
+@pytest.mark.parametrize("name", SAMPLERS)
 def test_without_previous_chunk_equals_plain(name, policy):
     field, bare = policy.velocity(observations()), request(1, 0, overlap=False)
     plain = get_sampler("plain")(field, bare)
@@ -264,6 +281,12 @@ def bad(**changes):
         ({"flow_steps": 0}, UsageError, "flow_steps 0"),
         ({"delay": np.array([0, 1, 2, 3])}, UsageError, r"\[0, 1, 2, 3\] must lie in 0..2"),
         ({"delay": np.zeros(3, np.int32)}, UsageError, r"needed is int32 \(4,\)"),
+        ({"exec_horizon": np.ones(3, np.int32)}, UsageError, r"exec_horizon has.*int32 \(4,\)"),
+        (
+            {"exec_horizon": np.array([2, 3, 7, 3])},
+            UsageError,
+            "horizon 8, exec_horizon 7, delay 2: delay must be at most",
+        ),
         ({"noise": PhysicalActions(jnp.zeros((B, H, A)))}, TypeError, "physical units"),
         ({"overlap": PhysicalActions(jnp.zeros((B, H, A)))}, TypeError, "physical units"),
     ],

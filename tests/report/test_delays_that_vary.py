@@ -1,0 +1,108 @@
+"""Tables of delays that vary: labels, differences under the same delays, counts."""
+
+from __future__ import annotations
+
+import io
+
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from rtc_cli.report.render import cases_grid, pair_text, render_cases
+from rtc_cli.report.sections import compute
+from rtc_cli.report.selection import condition_label, method_order, timing_label
+from rtc_cli.report.tables import differences, pick, summarise
+
+
+@pytest.mark.parametrize(
+    ("timing", "label"),
+    [
+        (("constant:2", "exact", "play", "play", 0), ""),
+        (("constant:2", "exact", "play", "play", 1), " (delays constant, lag 1)"),
+        (("constant:2", "constant:1", "play", "clamp", 0), " (delays constant, constant:1, clamp)"),
+        (("constant:9 cap 7", "exact", "play", "play", 0), " (delays constant:9 cap 7)"),
+        (("uniform:0-4", "exact", "play", "play", 0), " (delays uniform:0-4)"),
+        (
+            ("poisson:2 cap 7", "percentile:0.95", "discard", "play", 2),
+            " (delays poisson:2 cap 7, percentile:0.95, discard, lag 2)",
+        ),
+    ],
+)
+def test_labels(timing, label):
+    assert timing_label(*timing) == label
+    assert condition_label("naive" + label) == label
+    assert condition_label("naive (noise 0.2)" + label) == " (noise 0.2)" + label
+    assert condition_label("pinv (mask=exp)" + label) == label
+
+
+@pytest.fixture
+def episodes(synthetic) -> pd.DataFrame:
+    """Under uniform delays naive solves half and prefix all; under a constant one both all."""
+    frames = []
+    for method, triple in (
+        ("naive", ("base", "plain", "async")),
+        ("prefix", ("prefix", "prefix", "async")),
+    ):
+        for model in ("constant:2", "uniform:0-4"):
+            lost = method == "naive" and model == "uniform:0-4"
+            solved = [not (lost and i % 2) for i in range(40)]
+            frames.append(
+                synthetic.cell(
+                    method,
+                    "catcher",
+                    0,
+                    "fixed:4",
+                    2,
+                    4,
+                    solved,
+                    triple=triple,
+                    delay_model=model,
+                    starved_ticks=3 * lost,
+                    late_chunks=5 * lost,
+                )
+            )
+    return pd.concat(frames, ignore_index=True)
+
+
+def test_models_are_never_pooled(episodes):
+    rows = pick(summarise(episodes), task="catcher", train_seed="all")
+    success = {row["method"]: row["success"] for row in rows}
+    assert success == {
+        "naive": 1.0,
+        "prefix": 1.0,
+        "naive (delays uniform:0-4)": 0.5,
+        "prefix (delays uniform:0-4)": 1.0,
+    }
+    (row,) = pick(rows, method="naive (delays uniform:0-4)")
+    assert (row["delay_model"], row["estimator"], row["late_chunks"]) == ("uniform:0-4", "exact", 5)
+    assert method_order(list(success))[:2] == ["naive", "naive (delays uniform:0-4)"]
+
+
+def test_methods_are_compared_under_the_same_delays(episodes):
+    found = {
+        (row["method"], row["baseline"]): row["difference"]
+        for row in pick(differences(episodes), task="catcher")
+    }
+    label = " (delays uniform:0-4)"
+    assert found == {("prefix", "naive"): 0.0, ("prefix" + label, "naive" + label): 0.5}
+
+
+def test_a_difference_says_its_delays_once():
+    label = " (delays uniform:0-4)"
+    assert pair_text("prefix" + label, "naive" + label) == "prefix − naive (delays uniform:0-4)"
+    assert pair_text("prefix" + label, "naive") == "prefix (delays uniform:0-4) − naive"
+
+
+def test_cases_are_shown_where_delays_vary(episodes):
+    results = compute(episodes)
+    grid = cases_grid(results.summary)
+    assert grid.columns[2:5] == ["late", "dropped", "starved"]
+    assert [row[:5] for row in grid.rows] == [
+        ["naive (delays uniform:0-4)", "d=2 s=4", "5", "0", "3"],
+    ]
+    console = Console(file=io.StringIO(), width=200)
+    (table,) = render_cases(results.summary)
+    console.print(table)
+    assert "Per episode, protocol fixed:4" in console.file.getvalue()
+    constant = episodes[episodes.delay_model == "constant:2"]
+    assert render_cases(compute(constant).summary) == []
