@@ -454,8 +454,11 @@ _LATER_NETWORK_KEYS = ("heads", "kv_heads", "head_dim", "context")
 
 
 def _leave_out_later_defaults(content: dict[str, Any]) -> None:
-    later = {"eval": (EvalConfig, _LATER_EVAL_KEYS), "network": (NetworkConfig, _LATER_NETWORK_KEYS)}
-    for name, (section, keys) in later.items():
+    sections = (
+        ("eval", EvalConfig, _LATER_EVAL_KEYS),
+        ("network", NetworkConfig, _LATER_NETWORK_KEYS),
+    )
+    for name, section, keys in sections:
         defaults, given = section().model_dump(mode="json"), content.get(name, {})
         for key in keys:
             if key in given and given[key] == defaults[key]:

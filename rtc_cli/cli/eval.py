@@ -8,26 +8,32 @@ import typer
 
 from rtc_cli.cli.live import run_jobs
 from rtc_cli.cli.options import (
+    ChargeOption,
     DelayCapOption,
     DelayModelOption,
     DelaysOption,
     EpisodesOption,
     EstimatorOption,
+    FixedMsOption,
     FlowStepsOption,
+    HzOption,
     JsonOption,
     MethodsOption,
     ObservationLagOption,
     OnExceedOption,
     OnLateOption,
     ProtocolOption,
+    RoundingOption,
     RunOption,
+    SaveOption,
     TasksOption,
     WorkersOption,
     check_names,
+    read_fixed_ms,
     read_names,
     split_names,
 )
-from rtc_cli.cli.output import output
+from rtc_cli.cli.output import document, output
 from rtc_cli.errors import UsageError
 from rtc_cli.levels import expand, short_name
 from rtc_cli.recipe import EvalConfig, Recipe
@@ -84,6 +90,11 @@ def evaluate(
     on_late: OnLateOption = None,
     on_exceed: OnExceedOption = None,
     observation_lag: ObservationLagOption = None,
+    charge: ChargeOption = None,
+    fixed_ms: FixedMsOption = "",
+    hz: HzOption = 30.0,
+    rounding: RoundingOption = "ceil",
+    save: SaveOption = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -92,13 +103,25 @@ def evaluate(
     Evaluates a trained run's checkpoints; cells that the run already holds are not computed again.
     Delays are control steps. Training seeds are the unit of replication of the differences.
     Delays may vary: --delay-model says how, --estimator what the sampler is told of them.
+    With --charge each method, with each number of flow steps that the profile holds, gets the delay
+    that its own latency means at --hz, --fixed-ms added.
     """
+    from rtc_cli.cli.charged import evaluate_charged, render_charged
     from rtc_cli.cli.evaluated import evaluation_document, evaluation_tables, selected_episodes
     from rtc_cli.pipeline.checks import check_evaluation
     from rtc_cli.pipeline.plan import eval_plan
+    from rtc_cli.report.charge.page import save_charge_page
     from rtc_cli.report.sections import compute
+    from rtc_cli.results import machine_record
     from rtc_cli.runs import newest_run, open_run
 
+    if charge is None and (fixed_ms or save is not None):
+        raise UsageError("--fixed-ms and --save belong to --charge", "give a profile with --charge")
+    if charge is not None and (delays is not None or delay_model or flow_steps is not None):
+        raise UsageError(
+            "--charge has delays and flow steps of its own, from the profile",
+            "leave --delays, --delay-model and --flow-steps away",
+        )
     with output(as_json) as out:
         opened = open_run(run) if run is not None else newest_run()
         if delays is not None and delay_model:
@@ -127,9 +150,26 @@ def evaluate(
             "prior_std": prior_std,
         }
         config = _changed(opened.recipe, changes, guidance)
-        check_evaluation(config, opened.recipe.horizon)
         chosen_tasks = _tasks(tasks, opened.recipe)
         chosen_seeds = _seeds(seeds, opened.recipe)
+        if charge is not None:
+            content = evaluate_charged(
+                opened,
+                config,
+                chosen_tasks,
+                chosen_seeds,
+                charge,
+                fixed_ms=read_fixed_ms(fixed_ms),
+                hz=hz,
+                rounding=rounding,
+                workers=workers,
+            )
+            if save is not None:
+                save_charge_page(save, content)
+            shown = document(str(opened.folder), machine_record(), **content)
+            out.result(shown, *render_charged(content))
+            return
+        check_evaluation(config, opened.recipe.horizon)
         with opened.lock():
             jobs = eval_plan(opened, config, chosen_tasks, chosen_seeds)
             run_jobs(opened, jobs, workers)

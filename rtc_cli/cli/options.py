@@ -168,6 +168,19 @@ ObservationLagOption = Annotated[
         help="The observation at tick t shows t - TICKS.  [default: the recipe's]",
     ),
 ]
+ChargeOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--charge",
+        metavar="PROFILE",
+        help="Each method, with each number of flow steps of this profile (JSON), at the delay of "
+        "its own latency.",
+    ),
+]
+SaveOption = Annotated[
+    Path | None,
+    typer.Option("--save", metavar="DIR", help="Keep a page with tables and figures there."),
+]
 MethodsOption = Annotated[
     str | None,
     typer.Option(

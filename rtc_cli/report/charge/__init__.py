@@ -1,0 +1,1 @@
+"""Success at equal hardware: rows, figure and page."""
