@@ -116,8 +116,8 @@ DelayModelOption = Annotated[
         "--delay-model",
         metavar="MODEL",
         help="Delays that vary, instead of --delays: constant:2, uniform:0-4, poisson:1.5, "
-        "mixture:0.9*constant:1+0.1*uniform:3-6. Repeatable.",
-        autocompletion=complete_first(("constant:", "uniform:", "poisson:", "mixture:")),
+        "mixture:0.9*constant:1+0.1*uniform:3-6, trace:FILE@HZ. Repeatable.",
+        autocompletion=complete_first(("constant:", "uniform:", "poisson:", "mixture:", "trace:")),
     ),
 ]
 DelayCapOption = Annotated[

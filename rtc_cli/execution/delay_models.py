@@ -6,9 +6,11 @@
 ``poisson:1.5``                                Poisson with this mean
 ``mixture:0.9*constant:1+0.1*uniform:3-6``     each inference draws one of the parts; the weights
                                                sum to 1
+``trace:latencies.csv@50``                     a measured trace at 50 Hz, resampled in blocks; see
+                                               ``rtc_cli.execution.trace_delays``
 =============================================  ==================================================
 
-A tail cap replaces every longer delay by the cap. Plain Python and NumPy.
+A tail cap replaces every longer delay by the cap.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.execution.trace_delays import EXAMPLE, read_trace_delays
 from rtc_cli.units import parse_delays
 
 IntArray = NDArray[np.int64]
@@ -209,10 +212,13 @@ _PARTS: dict[str, Callable[[str, str], Independent]] = {
     "poisson": _poisson,
 }
 
-# Each takes the whole text, for messages, and what follows the kind. A model with draws that depend
-# on each other (a trace) is one more row here.
-_READERS: dict[str, Callable[[str, str], DelayModel]] = {**_PARTS, "mixture": _mixture}
+# Each takes the whole text, for messages, and what follows the kind.
+_READERS: dict[str, Callable[[str, str], DelayModel]] = {
+    **_PARTS,
+    "mixture": _mixture,
+    "trace": read_trace_delays,
+}
 
 FORMS = tuple(_READERS)
-FORMS_TEXT = f"constant:2, uniform:0-4, poisson:1.5 or {_MIXTURE}"
+FORMS_TEXT = f"constant:2, uniform:0-4, poisson:1.5, {_MIXTURE} or {EXAMPLE}"
 """How a model is written, for messages and help texts."""
