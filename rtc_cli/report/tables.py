@@ -35,6 +35,9 @@ DEFAULT_PAIRS = (
     ("pinv", "naive"),
 )
 D90_SHARE = 0.9
+FEWEST_DEGREES = 4
+"""With fewer degrees of freedom, tasks x (seeds - 1), an interval over seeds is not given: with one
+task and two seeds it would be 12.7 standard errors wide to either side."""
 _CELL = ["task", "method", "train_seed", "delay", "exec_horizon", "flow_steps"]
 
 
@@ -179,8 +182,8 @@ def differences(
 ) -> list[Row]:
     """Return success(method) - success(baseline) with 95% intervals, per task and for `all`.
 
-    Episodes are matched by task, training seed and episode number. With two or more training
-    seeds the interval is paired by seed (Student's t); with one it is paired by episode and
+    Episodes are matched by task, training seed and episode number. With enough training seeds (see
+    `estimate`) the interval is paired by seed (Student's t); else it is paired by episode and
     describes these checkpoints only: the key `interval` is "seeds" or "checkpoints".
     """
     rows = prepare(episodes)
@@ -236,7 +239,7 @@ def estimate_gap(cell: pd.DataFrame, tasks: Sequence[str]) -> Row | None:
     means = means.reindex(tasks).dropna(axis="columns")
 
     def strata() -> list[NDArray[np.float64]]:
-        mine = cell[cell["train_seed"] == means.columns[0]]
+        mine = cell[cell["train_seed"].isin(means.columns)]
         return [mine.loc[mine["task"] == task, "gap"].to_numpy(float) for task in tasks]
 
     return estimate(means.to_numpy(), strata)
@@ -247,20 +250,27 @@ def estimate(
 ) -> Row | None:
     """Estimate a mean paired difference from its (tasks, shared seeds) means.
 
-    With one seed the interval comes from `strata`, the differences of each task's episodes. Returns
-    the keys of `estimate_gap`; None without a shared seed.
+    With one seed, or with fewer than `FEWEST_DEGREES` degrees of freedom, the interval comes from
+    `strata`, the differences of each task's episodes in all of these seeds, and describes these
+    checkpoints only. Returns the keys of `estimate_gap`; None without a shared seed.
     """
-    seeds = means.shape[1]
+    tasks, seeds = means.shape
     if seeds == 0:
         return None
-    found = paired_by_seed(means) if seeds > 1 else paired_by_episode(strata())
+    kind = kind_of_interval(tasks, seeds)
+    found = paired_by_seed(means) if kind == "seeds" else paired_by_episode(strata())
     return {
         "difference": float(found.estimate),
         "low": number(found.low),
         "high": number(found.high),
         "seeds": seeds,
-        "interval": "seeds" if seeds > 1 else "checkpoints",
+        "interval": kind,
     }
+
+
+def kind_of_interval(tasks: int, seeds: int) -> str:
+    """Say what an interval can describe: "seeds", or with too few of them "checkpoints"."""
+    return "seeds" if tasks * (seeds - 1) >= FEWEST_DEGREES else "checkpoints"
 
 
 # -- derived rows ----------------------------------------------------------------------------

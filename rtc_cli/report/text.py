@@ -106,23 +106,29 @@ def protocol_text(protocol: str) -> str:
 
 def difference_interval_text(rows: Sequence[Row]) -> str:
     """Say what the intervals of some difference rows describe."""
-    seeds = sorted({row["seeds"] for row in rows})
-    if not seeds:
+    if not rows:
         return ""
-    if seeds == [1]:
+    by_seed = [row for row in rows if row["interval"] == "seeds"]
+    if not by_seed:
+        number = max(row["seeds"] for row in rows)
+        few = "One training seed only" if number == 1 else f"Only {number} training seeds"
         return (
-            "One training seed only: the 95% intervals are paired by episode and describe these "
+            f"{few}: the 95% intervals are paired by episode and describe these "
             "checkpoints. They say nothing about training again."
         )
-    tasks = max(len({row["task"] for row in rows} - {ALL}), 1)
-    number = f"{seeds[0]}" if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]}"
+    seeds = sorted({row["seeds"] for row in by_seed})
+    number_text = f"{seeds[0]}" if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]}"
     text = (
-        f"95% intervals over {number} training seeds (paired by seed, Student's t, tasks fixed and "
-        "equally weighted)."
+        f"95% intervals over {number_text} training seeds (paired by seed, Student's t, tasks "
+        "fixed and equally weighted)."
     )
-    if 1 in seeds:
-        text += " Cells with one seed have intervals that describe their checkpoints only."
-    elif tasks * (seeds[0] - 1) < 12:
+    if len(by_seed) < len(rows):
+        text += (
+            " Where the training seeds are too few for that (one task with fewer than five), they "
+            "are paired by episode and describe these checkpoints only."
+        )
+    tasks = max(len({row["task"] for row in rows} - {ALL}), 1)
+    if tasks * (seeds[0] - 1) < 12:
         text += " This is few: the intervals are wide, and rest on the t distribution."
     return text
 
@@ -197,7 +203,8 @@ def _comparison_sentence(
 
 
 def _verdict(row: Row) -> str:
-    scope = "" if row["seeds"] > 1 else " for these checkpoints (one training seed)"
+    number = "one training seed" if row["seeds"] == 1 else f"{row['seeds']} training seeds"
+    scope = "" if row["interval"] == "seeds" else f" for these checkpoints ({number})"
     if row["low"] is None or row["high"] is None:
         return "for which no interval can be given"
     if row["low"] > 0:
@@ -239,5 +246,5 @@ def _ablation_verdict(row: Row) -> str:
         return ", without an interval"
     if row["low"] > 0 or row["high"] < 0:
         clear = "better" if row["low"] > 0 else "worse"
-        return f", {clear}" + ("" if row["seeds"] > 1 else " for these checkpoints")
+        return f", {clear}" + ("" if row["interval"] == "seeds" else " for these checkpoints")
     return ", not told apart"

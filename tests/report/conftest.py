@@ -30,3 +30,9 @@ def run_folder(synthetic: ModuleType, tmp_path_factory: pytest.TempPathFactory) 
         n=16,
     )
     return synthetic.write_run(tmp_path_factory.mktemp("run"), frames)
+
+
+@pytest.fixture
+def two_degrees_will_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give intervals over seeds where a report would not yet: small cases to check by hand."""
+    monkeypatch.setattr("rtc_cli.report.tables.FEWEST_DEGREES", 2)

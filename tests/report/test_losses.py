@@ -101,6 +101,7 @@ COUNTS = {
 }
 
 
+@pytest.mark.usefixtures("two_degrees_will_do")
 def test_intervals_over_seeds_by_hand(synthetic: ModuleType) -> None:
     row = pick(decomposition_rows(loss_cells(counted(synthetic, COUNTS))), task="catcher")[0]
     for cost, (above, below) in {
@@ -145,6 +146,7 @@ def test_recovered_fractions_are_those_of_the_world(
             assert row["recovered"] == pytest.approx(truth, abs=0.03)
 
 
+@pytest.mark.usefixtures("two_degrees_will_do")
 def test_no_fraction_of_a_cost_that_may_be_zero_or_negative(synthetic: ModuleType) -> None:
     for oracle in ([52, 50, 60], [40, 41, 40]):
         cells = loss_cells(counted(synthetic, COUNTS | {"oracle": oracle}))
@@ -154,6 +156,7 @@ def test_no_fraction_of_a_cost_that_may_be_zero_or_negative(synthetic: ModuleTyp
         assert row["gain"] == pytest.approx(0.24)
 
 
+@pytest.mark.usefixtures("two_degrees_will_do")
 @pytest.mark.parametrize(
     ("changed", "kind"),
     [

@@ -120,6 +120,7 @@ def test_intervals_of_one_seed_are_those_of_paired_episodes(run: Run) -> None:
     assert (row["low"], row["high"]) == pytest.approx((gap.mean() - half, gap.mean() + half))
 
 
+@pytest.mark.usefixtures("two_degrees_will_do")
 def test_several_seeds_are_paired_by_seed(synthetic: ModuleType, tmp_path: Path) -> None:
     run = grid_run(synthetic, tmp_path / "run", seeds=(0, 1, 2))
     grid = load_grid(run.folder, recipe_of(run))

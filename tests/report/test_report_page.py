@@ -99,7 +99,11 @@ def test_the_answer_does_not_say_more_than_the_interval(
     }  # fmt: skip
     sentences = answer(report.data["rows"], [gap], report.data["naive_fall"])
     assert words in sentences[-1]
-    alone = answer(report.data["rows"], [gap | {"seeds": 1}], report.data["naive_fall"])
+    alone = answer(
+        report.data["rows"],
+        [gap | {"seeds": 1, "interval": "checkpoints"}],
+        report.data["naive_fall"],
+    )
     assert "for these checkpoints (one training seed)" in alone[-1]
 
 

@@ -127,6 +127,7 @@ def test_the_difference_with_one_seed_is_paired_by_episode(synthetic: ModuleType
     assert (row["seeds"], row["interval"]) == (1, "checkpoints")
 
 
+@pytest.mark.usefixtures("two_degrees_will_do")
 def test_the_difference_over_seeds_follows_the_formula(episodes: pd.DataFrame) -> None:
     row = pick(differences(episodes), task="all", method="prefix", baseline="pinv", delay=2)
     row = pick(row, exec_horizon=4)[0]
@@ -139,6 +140,27 @@ def test_the_difference_over_seeds_follows_the_formula(episodes: pd.DataFrame) -
     assert row["low"] == pytest.approx(table.mean() - t_2 * error)
     assert row["high"] == pytest.approx(table.mean() + t_2 * error)
     assert row["interval"] == "seeds"
+
+
+def test_too_few_seeds_describe_the_checkpoints(synthetic: ModuleType) -> None:
+    """One task, R seeds: t with R - 1 degrees of freedom from five seeds on."""
+    outcomes = {0: [T, T, T, F], 1: [T, F, T, T], 2: [T, T, F, F], 3: [F, T, T, T], 4: [T] * 4}
+    for count in (2, 3, 4, 5):
+        frames = []
+        for seed in range(count):
+            frames += [
+                synthetic.cell(
+                    "prefix", "catcher", seed, "paper", 2, 2, outcomes[seed], triple=PREFIX
+                ),
+                synthetic.cell("pinv", "catcher", seed, "paper", 2, 2, [T, F, F, F]),
+            ]
+        row = pick(differences(pd.concat(frames)), task="catcher")[0]
+        assert (row["seeds"], row["interval"]) == (count, "seeds" if count == 5 else "checkpoints")
+        gaps = np.concatenate([np.array(outcomes[s], int) - [1, 0, 0, 0] for s in range(count)])
+        if count < 5:  # over the episodes of all seeds
+            half = 1.959963984540054 * gaps.std(ddof=1) / math.sqrt(len(gaps))
+            assert row["low"] == pytest.approx(gaps.mean() - half)
+            assert row["high"] == pytest.approx(gaps.mean() + half)
 
 
 def test_only_common_episodes_and_seeds_are_compared(synthetic: ModuleType) -> None:

@@ -33,6 +33,7 @@ from rtc_cli.report.tables import (
     Row,
     differences,
     estimate,
+    kind_of_interval,
     number,
     pick,
 )
@@ -146,8 +147,8 @@ class LossCell:
 def decomposition_rows(cells: Iterable[LossCell]) -> list[Row]:
     """Return the costs in every cell, per task and for `all`, with 95% intervals.
 
-    All levels are counted on the same episodes. Intervals are those of `estimate_gap`: paired by
-    training seed, or with one seed paired by episode (`interval` is "checkpoints"). The open-loop
+    All levels are counted on the same episodes. Intervals are those of `estimate`: paired by
+    training seed, or with too few of them by episode (`interval` is "checkpoints"). The open-loop
     cost is null where S(0, 1) was not evaluated on all of them. `delay_cost` is irreducible +
     avoidable, `balance` is avoidable - irreducible.
     """
@@ -172,7 +173,7 @@ def _cost_row(cell: LossCell, tasks: list[str]) -> Row | None:
         whole = np.array_equal(cell.shared(tasks, weights), seeds)
         row |= _named(name, cell.estimate(weights, tasks) if whole else None)
     count = int(seeds.sum())
-    return row | {"seeds": count, "interval": "seeds" if count > 1 else "checkpoints"}
+    return row | {"seeds": count, "interval": kind_of_interval(len(tasks), count)}
 
 
 def _named(name: str, estimate: Row | None) -> Row:
@@ -251,7 +252,7 @@ def _recovered_row(cell: LossCell, method: str, tasks: list[str]) -> Row | None:
     share = Interval(float("nan"), float("nan"), float("nan"))
     if avoidable["low"] is not None and avoidable["low"] > 0:
         seeds = cell.shared(tasks, (method, ORACLE, NAIVE))
-        if avoidable["seeds"] > 1:
+        if avoidable["interval"] == "seeds":
             part = cell.mean_gap(gain, tasks, seeds)
             share = ratio_by_seed(part, cell.mean_gap(whole, tasks, seeds))
         else:
