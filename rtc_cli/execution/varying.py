@@ -2,7 +2,7 @@
 
 What differs from ``rtc_cli.execution.running``: worlds of one tile may have different delays, ages
 of their running chunks and requests, so each row of an inference has its own (s, d), and the
-physics runs in groups of equal delay. A ``Clock`` says beforehand what happens when.
+physics runs in groups of equal length. A ``Clock`` says beforehand what happens when.
 """
 
 from __future__ import annotations
@@ -151,34 +151,40 @@ class VaryingRollout(Rollout):
         self.ready.extend(slots.tolist())
 
     def _cycle(self, slots: IntArray, chunk: FloatArray) -> None:
-        for delay, rows in list(self._by_delay(slots)):
-            self._cycle_of(slots[rows], chunk[rows], delay)
+        steps = self.plan.clock.steps[self._entry(slots)]
+        actions = np.zeros((*chunk.shape[:2], steps.max(), chunk.shape[3]), np.float32)
+        for delay, rows in self._by_delay(slots):
+            due = self._hand_over(slots[rows], chunk[rows], delay)
+            actions[rows, :, : due.shape[2]] = due
+        self.cycles[slots] += 1
+        # Delays up to s make cycles of equal length: the physics runs them together.
+        for ticks in np.unique(steps).tolist():
+            alike = steps == ticks
+            self._execute(slots[alike], actions[alike, :, :ticks])
 
-    def _cycle_of(self, slots: IntArray, chunk: FloatArray, delay: int) -> None:
-        """Execute one cycle of slots with the same delay, with their new chunks (m, 2, H, A)."""
+    def _hand_over(self, slots: IntArray, chunk: FloatArray, delay: int) -> FloatArray:
+        """(m, 2, T, A) actions of the cycle of slots with this delay, whose chunks are new.
+
+        What of the chunks (m, 2, H, A) is left after the cycle becomes the overlap.
+        """
         schedule, horizon = self.plan.schedule, chunk.shape[2]
         entry = self._entry(slots)
-        self.cycles[slots] += 1
         if schedule == "sync":
             held = np.repeat(self._held(slots)[:, :, None], delay, axis=2)
-            used = chunk[:, :, : self.plan.exec_horizon]
-            self._execute(slots, np.concatenate([held, used], axis=2))
-            return
+            return np.concatenate([held, chunk[:, :, : self.plan.exec_horizon]], axis=2)
         kept = self.plan.clock.kept[entry]
         self._compare_kept(slots[kept], chunk[kept, 0], delay, (entry[0][kept], entry[1][kept]))
         steps = max(delay, self.plan.exec_horizon)
         begin = delay if schedule == "async" else 0
-        actions = self._running(slots, steps, entry)
+        actions = self._running(slots, steps)
         actions[kept, :, delay:] = chunk[kept, :, begin : begin + steps - delay]
         self.overlap[slots] = shifted(self.overlap[slots], steps, horizon)
         self.overlap[slots[kept]] = shifted(chunk[kept], begin + steps - delay, horizon)
-        self._execute(slots, actions)
+        return actions
 
-    def _running(
-        self, slots: IntArray, ticks: int, entry: tuple[IntArray, IntArray] | None = None
-    ) -> FloatArray:
+    def _running(self, slots: IntArray, ticks: int) -> FloatArray:
         """(m, 2, ticks, A) the running chunk from now on, then hold actions: starved ticks."""
-        left = self.plan.clock.left[self._entry(slots) if entry is None else entry]
+        left = self.plan.clock.left[self._entry(slots)]
         tick = np.arange(ticks)
         index = np.clip(np.minimum(tick, left[:, None] - 1), 0, None)
         actions = np.take_along_axis(self.overlap[slots], index[:, None, :, None], axis=2)
