@@ -114,12 +114,15 @@ def _estimates(
     count = request.flow_steps
     clean = jnp.arange(request.geometry.horizon) < request.geometry.delay
     is_prefix = len(sampler.times(count)) > count  # its committed tokens have flow time 1
-    estimates = []
-    for index in range(count):
-        tau = jnp.full(path.shape[1:3], index / count)
+
+    def estimate(step: tuple[Array, Array]) -> Array:
+        x, flow_time = step
+        tau = jnp.broadcast_to(flow_time, x.shape[:2])
         tau = jnp.where(clean[None] & is_prefix, 1.0, tau)
-        estimates.append(path[index] + (1 - tau)[..., None] * velocity(path[index], tau))
-    return jnp.stack([*estimates, path[-1]])
+        return x + (1 - tau)[..., None] * velocity(x, tau)
+
+    estimates = jax.lax.map(estimate, (path[:-1], jnp.arange(count) / count))
+    return jnp.concatenate([estimates, path[-1:]])
 
 
 def _step_rows(

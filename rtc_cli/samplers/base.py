@@ -142,10 +142,14 @@ class Sampler(abc.ABC):
         times = self.times(request.flow_steps)
         field_ = _field(velocity, times)
         problem, count = _token_major(request), request.flow_steps
-        chunks = [self.start(problem)]
-        for index in range(count):
-            chunks.append(self.update(field_, chunks[-1], _step(jnp.int32(index), count), problem))
-        return jnp.swapaxes(jnp.stack(chunks), 1, 2)
+
+        def body(x: Array, index: Array) -> tuple[Array, Array]:
+            after = self.update(field_, x, _step(index, count), problem)
+            return after, after
+
+        start = self.start(problem)
+        _, later = jax.lax.scan(body, start, jnp.arange(count))
+        return jnp.swapaxes(jnp.concatenate([start[None], later]), 1, 2)
 
     def _solve(self, velocity: Field, request: ChunkRequest, unroll: bool = False) -> Array:
         problem = _token_major(request)

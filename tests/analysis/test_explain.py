@@ -9,8 +9,8 @@ import pytest
 
 from rtc_cli.analysis import explain as module
 from rtc_cli.analysis.explain import Seam, explain, recorded_seams
-from rtc_cli.analysis.networks import random_policy
 from rtc_cli.core.geometry import ChunkGeometry
+from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
 from rtc_cli.errors import UsageError
 from rtc_cli.samplers import ChunkRequest, get_sampler
 
@@ -19,7 +19,9 @@ H, S, D, K = 8, 4, 2, 5
 
 @pytest.fixture(scope="module")
 def policy():
-    return random_policy("quickstart", H)
+    sizes = (("layers", 1), ("channels", 8), ("channel_hidden", 8), ("token_hidden", 4))
+    config = PolicyConfig("mixer", sizes, H, 5, 6)
+    return Policy.init(config, Normaliser.identity(5, 6), jax.random.key(0), adaln_zero=False)
 
 
 @pytest.fixture(scope="module")

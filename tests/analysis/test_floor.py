@@ -48,12 +48,12 @@ def test_what_fits_the_caches_is_not_read_from_memory(monkeypatch):
 
 @pytest.mark.parametrize(("sampler", "passes"), [("plain", 1), ("prefix", 1), ("pinv", 2)])
 def test_a_step_reads_every_weight_of_the_blocks_once_per_pass(sampler, passes):
-    sizes = {"layers": 2, "channels": 128, "channel_hidden": 256, "heads": 2, "kv_heads": 1}
+    sizes = {"layers": 1, "channels": 128, "channel_hidden": 256, "heads": 2, "kv_heads": 1}
     options = tuple((sizes | {"head_dim": 128, "context": 200}).items())
     config = PolicyConfig("transformer", options, 8, 5, 3)
     init = jax.jit(functools.partial(Policy.init, config, Normaliser.identity(5, 3)))
     policy, steps = init(jax.random.key(0)), 3
-    blocks = [policy.params[f"block_{i}"] for i in range(2)]
+    blocks = [policy.params[f"block_{i}"] for i in range(1)]
     weights = sum(w.nbytes for b in blocks for name, w in b.items() if "context" not in name)
     observations, noise = jnp.ones((1, 5)), jnp.ones((1, 8, 3))
     observed = policy.observe(observations)

@@ -42,7 +42,7 @@ def test_the_expected_recipes_are_shipped():
 
 def test_paper_is_the_papers():
     recipe = load_recipe("paper")
-    assert recipe.network.model_dump() == {
+    assert recipe.network.model_dump(exclude_none=True) == {
         "kind": "mixer",
         "layers": 4,
         "channels": 256,
