@@ -1,4 +1,4 @@
-"""Milliseconds to control steps, and the text form of a list of delays."""
+"""Milliseconds to control steps, and the text forms of numbers and of lists of delays."""
 
 import math
 import re
@@ -34,6 +34,11 @@ def latency_to_delay(latency_ms: float, hz: float, rounding: Rounding = "ceil") 
     if rounding == "floor":
         return math.floor(steps + slack)
     return math.floor(steps + 0.5 + slack)
+
+
+def three_digits(value: float) -> str:
+    """Three digits, or all before the point: never an exponent for large numbers."""
+    return f"{value:.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def parse_delays(text: str, what: str = "delays") -> tuple[int, ...]:

@@ -1,13 +1,18 @@
 """Networks by name, with random weights: what a profile can be made of without a run."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import numpy as np
-from flax import nnx
 
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig, get_network, list_networks
+from rtc_cli.core.policy import (
+    Normaliser,
+    Policy,
+    PolicyConfig,
+    get_network,
+    list_networks,
+    parameter_shapes,
+)
 from rtc_cli.errors import UsageError, did_you_mean
 
 
@@ -85,22 +90,6 @@ def preset_config(network: str, horizon: int | None = None, dtype: str = "float3
         preset.obs_dim,
         preset.action_dim,
     )
-
-
-def parameter_shapes(config: PolicyConfig) -> Any:
-    """Shapes and dtypes of a network's parameters; nothing is allocated."""
-
-    def build() -> Any:
-        network = get_network(config.network)
-        return network(
-            config.horizon,
-            config.obs_dim,
-            config.action_dim,
-            dict(config.options),
-            rngs=nnx.Rngs(0),
-        )
-
-    return nnx.to_pure_dict(nnx.state(nnx.eval_shape(build)))
 
 
 def check_memory(config: PolicyConfig, name: str) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rtc_cli.cli.evaluated import selected_episodes
+from rtc_cli.cli.evaluated import evaluated_episodes, select_episodes
 from rtc_cli.cli.live import run_jobs
 from rtc_cli.levels import short_name
 from rtc_cli.recipe import EvalConfig
@@ -40,6 +40,7 @@ def evaluate_charged(
     charged = charged_evaluations(config, run.recipe.horizon, charges)
     with run.lock():
         run_jobs(run, charged_plan(run, charged, tasks, seeds), workers)
+    rows = evaluated_episodes(run) if any(each.config for each in charged) else None
     evaluated = [
         ChargedEpisodes(
             method=each.charge.method,
@@ -47,8 +48,8 @@ def evaluate_charged(
             latency_ms=each.charge.latency_ms,
             delay=each.charge.delay,
             episodes=None
-            if each.config is None
-            else selected_episodes(run, each.config, tasks, seeds),
+            if each.config is None or rows is None
+            else select_episodes(rows, run, each.config, tasks, seeds),
             reason=each.reason,
         )
         for each in charged

@@ -106,13 +106,10 @@ def evaluate(
     With --charge each method, with each number of flow steps that the profile holds, gets the delay
     that its own latency means at --hz, --fixed-ms added.
     """
-    from rtc_cli.cli.charged import evaluate_charged, render_charged
     from rtc_cli.cli.evaluated import evaluation_document, evaluation_tables, selected_episodes
     from rtc_cli.pipeline.checks import check_evaluation
     from rtc_cli.pipeline.plan import eval_plan
-    from rtc_cli.report.charge.page import save_charge_page
     from rtc_cli.report.sections import compute
-    from rtc_cli.results import machine_record
     from rtc_cli.runs import newest_run, open_run
 
     if charge is None and (fixed_ms or save is not None):
@@ -153,6 +150,9 @@ def evaluate(
         chosen_tasks = _tasks(tasks, opened.recipe)
         chosen_seeds = _seeds(seeds, opened.recipe)
         if charge is not None:
+            from rtc_cli.cli.charged import evaluate_charged, render_charged
+            from rtc_cli.results import machine_record
+
             content = evaluate_charged(
                 opened,
                 config,
@@ -165,6 +165,8 @@ def evaluate(
                 workers=workers,
             )
             if save is not None:
+                from rtc_cli.report.charge.page import save_charge_page
+
                 save_charge_page(save, content)
             shown = document(str(opened.folder), machine_record(), **content)
             out.result(shown, *render_charged(content))

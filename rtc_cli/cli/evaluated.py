@@ -26,15 +26,32 @@ def selected_episodes(
     run: Run, config: EvalConfig, tasks: tuple[str, ...], seeds: tuple[int, ...]
 ) -> pd.DataFrame:
     """Return the rows of a run that an evaluation with these settings asked for."""
-    import numpy as np
+    return select_episodes(evaluated_episodes(run), run, config, tasks, seeds)
 
-    from rtc_cli.execution.protocols import OPEN_LOOP
-    from rtc_cli.pipeline.evaluation import TUNED, methods_of, timings_of
+
+def evaluated_episodes(run: Run) -> pd.DataFrame:
+    """Read all rows of a run; StateError where it has none."""
     from rtc_cli.report.inputs import load_episodes
 
     rows = load_episodes(run.folder)
     if rows.empty:
         raise StateError(f"run {run.folder} holds no evaluated episodes", 'run "rtc eval" first')
+    return rows
+
+
+def select_episodes(
+    rows: pd.DataFrame,
+    run: Run,
+    config: EvalConfig,
+    tasks: tuple[str, ...],
+    seeds: tuple[int, ...],
+) -> pd.DataFrame:
+    """Return those of a run's rows that an evaluation with these settings asked for."""
+    import numpy as np
+
+    from rtc_cli.execution.protocols import OPEN_LOOP
+    from rtc_cli.pipeline.evaluation import TUNED, methods_of, timings_of
+
     names = {method.name for method in methods_of(config)}
     if TUNED in config.methods or config.tune is not None:
         names.add(TUNED)

@@ -1,6 +1,6 @@
 """`rtc latency`: from measured latencies to H, s, the conditioned delay and what to train on."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,9 +11,11 @@ from rtc_cli.cli.options import (
     HzOption,
     JsonOption,
     RoundingOption,
+    SaveOption,
     complete_samplers,
     read_fixed_ms,
 )
+from rtc_cli.cli.output import number_table
 from rtc_cli.traces import Unit
 
 if TYPE_CHECKING:
@@ -94,12 +96,7 @@ def latency(
             help="Share of cycles in which d <= s <= H - d has to hold.",
         ),
     ] = 0.99,
-    save: Annotated[
-        Path | None,
-        typer.Option(
-            "--save", metavar="DIR", help="Write one page with figures into this folder, too."
-        ),
-    ] = None,
+    save: SaveOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Analyse measured latencies: which delay, H and s, and what to train on.
@@ -169,7 +166,9 @@ def _render(result: Mapping[str, Any]) -> list["RenderableType"]:
 
 def _percentiles(result: Mapping[str, Any]) -> "Table":
     rounding = f"{result['hz']:g} Hz, {result['rounding']}"
-    table = _table("Latency of the stationary part", ("", "ms", "95% interval", f"d at {rounding}"))
+    table = number_table(
+        "Latency of the stationary part", ("", "ms", "95% interval", f"d at {rounding}")
+    )
     for row in result["rows"]:
         ends = [_number(row["low_ms"]), _number(row["high_ms"])]
         interval = "" if row["percentile"] == 1 else " to ".join(ends)
@@ -178,7 +177,7 @@ def _percentiles(result: Mapping[str, Any]) -> "Table":
 
 
 def _delays(result: Mapping[str, Any]) -> "Table":
-    table = _table("Distribution of d", ("d", "chunks", "share"))
+    table = number_table("Distribution of d", ("d", "chunks", "share"))
     for row in result["delays"]:
         table.add_row(str(row["delay"]), str(row["count"]), f"{row['share']:.1%}")
     return table
@@ -186,7 +185,9 @@ def _delays(result: Mapping[str, Any]) -> "Table":
 
 def _choices(result: Mapping[str, Any]) -> "Table":
     columns = ("share held", "d", "s", "H", "violated", "age of observation")
-    table = _table("The smallest H and s, by the share of cycles that they are to hold", columns)
+    table = number_table(
+        "The smallest H and s, by the share of cycles that they are to hold", columns
+    )
     for row in result["choices"]:
         age = f"{1000 * row['age'] / result['hz']:.0f} ms"
         violated = f"{row['cycles']['violated']:.1%}"
@@ -196,7 +197,9 @@ def _choices(result: Mapping[str, Any]) -> "Table":
 
 
 def _estimators(result: Mapping[str, Any]) -> "Table":
-    table = _table("What to tell the sampler", ("estimator", "mean d_cond", "range", "late chunks"))
+    table = number_table(
+        "What to tell the sampler", ("estimator", "mean d_cond", "range", "late chunks")
+    )
     for row in result["estimators"]:
         low, high = row["low"], row["high"]
         span = str(low) if low == high else f"{low} to {high}"
@@ -210,13 +213,3 @@ def _name(row: Mapping[str, Any]) -> str:
 
 def _number(value: float | None) -> str:
     return "?" if value is None else f"{value:.4g}"
-
-
-def _table(title: str, columns: Sequence[str]) -> "Table":
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1))
-    for place, name in enumerate(columns):
-        table.add_column(name, justify="right" if place else "left", no_wrap=True)
-    return table

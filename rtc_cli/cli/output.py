@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
     from rich.progress import Progress
+    from rich.table import Table
 
 SCHEMA = 1
 
@@ -61,6 +62,17 @@ def document(
 ) -> dict[str, Any]:
     """Return the JSON document that every reporting command prints."""
     return {"schema": SCHEMA, "run": run, "machine": machine, "rows": rows, **more}
+
+
+def number_table(title: str, columns: Sequence[str]) -> "Table":
+    """Return an empty table: names in the first column, numbers in the others."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1))
+    for place, name in enumerate(columns):
+        table.add_column(name, justify="right" if place else "left", no_wrap=True)
+    return table
 
 
 def plain(value: Any) -> Any:

@@ -12,16 +12,17 @@ from rtc_cli.cli.options import (
     HzOption,
     JsonOption,
     RoundingOption,
+    SaveOption,
     check_names,
     complete_samplers,
     read_fixed_ms,
 )
+from rtc_cli.cli.output import number_table
 from rtc_cli.errors import UsageError
-from rtc_cli.units import Rounding
+from rtc_cli.units import Rounding, three_digits
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
-    from rich.table import Table
 
     from rtc_cli.core.policy import Policy
     from rtc_cli.runs import Run
@@ -91,12 +92,7 @@ def profile(
     ] = 50,
     hz: HzOption = 30.0,
     rounding: RoundingOption = "ceil",
-    save: Annotated[
-        Path | None,
-        typer.Option(
-            "--save", metavar="DIR", help="Keep profile.json, a table and a figure in this folder."
-        ),
-    ] = None,
+    save: SaveOption = None,
     explain: Annotated[
         bool,
         typer.Option(
@@ -312,16 +308,16 @@ def _warnings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _times_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
     first = rows[0]
-    table = _table(
+    table = number_table(
         f"Milliseconds per call: {first['network']}, batch {first['batch']}, "
         f"horizon {first['horizon']}, {first['flow_steps']} flow steps",
-        ("p50", "p95", "p99", "/step", "x plain (95%)", f"d at {first['hz']:g} Hz"),
+        ("sampler", "p50", "p95", "p99", "/step", "x plain (95%)", f"d at {first['hz']:g} Hz"),
     )
     for row in rows:
         ratio = f"{row['ratio_to_plain']:.2f} [{row['ratio_low']:.2f}, {row['ratio_high']:.2f}]"
         table.add_row(
             row["sampler"],
-            *(_plain(row[key]) for key in ("p50_ms", "p95_ms", "p99_ms", "per_step_ms")),
+            *(three_digits(row[key]) for key in ("p50_ms", "p95_ms", "p99_ms", "per_step_ms")),
             "1" if row["sampler"] == "plain" else ratio,
             str(row["delay_at_hz"]),
         )
@@ -330,12 +326,20 @@ def _times_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
 
 def _programs_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
     unit, size = ("G", 1e9) if (rows[0]["flops"] or 0) > 1e10 else ("M", 1e6)
-    columns = ("compile s", f"{unit}FLOP", f"{unit}B", f"held {unit}B", "floor ms", "p50/floor")
-    table = _table("Programs", columns)
+    columns = (
+        "sampler",
+        "compile s",
+        f"{unit}FLOP",
+        f"{unit}B",
+        f"held {unit}B",
+        "floor ms",
+        "p50/floor",
+    )
+    table = number_table("Programs", columns)
     for row in rows:
         values = (row[key] for key in ("flops", "bytes", "memory_bytes"))
-        counts = ("?" if value is None else _plain(value / size) for value in values)
-        floor = (_plain(row["floor_ms"]), _plain(row["over_floor"]))
+        counts = ("?" if value is None else three_digits(value / size) for value in values)
+        floor = (three_digits(row["floor_ms"]), three_digits(row["over_floor"]))
         table.add_row(row["sampler"], f"{row['compile_s']:.2f}", *counts, *floor)
     return table
 
@@ -345,29 +349,15 @@ def _meaning_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
     fixed = sum(first["fixed_ms"].values())
     title = f"What it means at {first['hz']:g} Hz, {fixed:g} ms of fixed costs added"
     rates = [d for d in ("1", "2", "4") if d in first["highest_hz"]]
-    table = _table(title, ("p95 ms", "d", "of chunk", *(f"Hz, d = {d}" for d in rates)))
+    table = number_table(
+        title, ("sampler", "p95 ms", "d", "of chunk", *(f"Hz, d = {d}" for d in rates))
+    )
     for row in rows:
         table.add_row(
             row["sampler"],
-            _plain(row["total_p95_ms"]),
+            three_digits(row["total_p95_ms"]),
             str(row["delay_at_hz"]),
             f"{row['chunk_share']:.0%}",
             *(f"{row['highest_hz'][d]:.3g}" for d in rates),
         )
     return table
-
-
-def _table(title: str, columns: Sequence[str]) -> "Table":
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1))
-    table.add_column("sampler", no_wrap=True)
-    for name in columns:
-        table.add_column(name, justify="right", no_wrap=True)
-    return table
-
-
-def _plain(value: float) -> str:
-    """Three digits, or all before the point: never an exponent for large numbers."""
-    return f"{value:.0f}" if value >= 1000 else f"{value:.3g}"

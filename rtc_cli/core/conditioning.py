@@ -6,6 +6,7 @@ arrays are (H, B, C): tokens, batch, channels.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -43,6 +44,22 @@ class TimeEmbedding(nnx.Module):
         return nnx.swish(self.second(nnx.swish(self.first(time_features(tau, self.width)))))
 
 
+def adaln_zero(
+    channels: int, layers: int, *, param_dtype: Any = jnp.float32, rngs: nnx.Rngs
+) -> nnx.Linear:
+    """All adaLN layers of a network as one product, zero at first.
+
+    Six vectors per block (scale, shift and gate of its two parts), two for the output.
+    """
+    return nnx.Linear(
+        channels,
+        (6 * layers + 2) * channels,
+        kernel_init=nnx.initializers.zeros_init(),
+        param_dtype=param_dtype,
+        rngs=rngs,
+    )
+
+
 def select_rows(rows: Int[Array, "#H #B"]) -> Select:
     """Select by index: token i of example b takes row `rows[i, b]` of the table."""
     return lambda table: table[rows]
@@ -59,10 +76,14 @@ def select_own(table: Float[Array, "B C"]) -> Float[Array, "1 B C"]:
 
 
 def normalise(x: Float[Array, "... C"]) -> Float[Array, "... C"]:
-    """Layer norm over channels without learned scale and shift (epsilon 1e-6)."""
-    centred = x - jnp.mean(x, axis=-1, keepdims=True)
+    """Layer norm over channels without learned scale and shift (epsilon 1e-6).
+
+    Computed in float32 whatever the dtype of x, which is the result's too.
+    """
+    wide = x.astype(jnp.float32)
+    centred = wide - jnp.mean(wide, axis=-1, keepdims=True)
     variance = jnp.mean(jnp.square(centred), axis=-1, keepdims=True)
-    return centred * jax.lax.rsqrt(variance + 1e-6)
+    return (centred * jax.lax.rsqrt(variance + 1e-6)).astype(x.dtype)
 
 
 def modulate(

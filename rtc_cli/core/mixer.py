@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Float
 
-from rtc_cli.core.conditioning import Select, TimeEmbedding, modulate, normalise
+from rtc_cli.core.conditioning import Select, TimeEmbedding, adaln_zero, modulate, normalise
 from rtc_cli.core.sizes import complete_sizes, require_even
 
 DEFAULTS = {"layers": 4, "channels": 256, "channel_hidden": 512, "token_hidden": 64}
@@ -73,13 +73,7 @@ class Mixer(nnx.Module):
         self.width = max(channels, sizes["channel_hidden"])
         self.input = nnx.Linear(action_dim + obs_dim, channels, rngs=rngs)
         self.time = TimeEmbedding(channels, rngs=rngs)
-        # All adaLN layers as one product: six vectors per block, two for the output.
-        self.adaln = nnx.Linear(
-            channels,
-            (6 * layers + 2) * channels,
-            kernel_init=nnx.initializers.zeros_init(),
-            rngs=rngs,
-        )
+        self.adaln = adaln_zero(channels, layers, rngs=rngs)
         for index in range(layers):
             block = MixerBlock(
                 horizon, channels, sizes["channel_hidden"], sizes["token_hidden"], rngs

@@ -431,9 +431,19 @@ def _build(config: PolicyConfig, rngs: nnx.Rngs) -> Any:
     )
 
 
-@functools.lru_cache(maxsize=64)
+def parameter_shapes(config: PolicyConfig) -> Any:
+    """Shapes and dtypes of a network's parameters, nested as `Params`; nothing is allocated."""
+    return nnx.to_pure_dict(_abstract(config)[1])
+
+
 def _graph(config: PolicyConfig) -> Any:
-    return nnx.split(nnx.eval_shape(lambda: _build(config, nnx.Rngs(0))))[0]
+    return _abstract(config)[0]
+
+
+@functools.lru_cache(maxsize=64)
+def _abstract(config: PolicyConfig) -> Any:
+    """Graph and state of a network, by its shapes alone."""
+    return nnx.split(nnx.eval_shape(lambda: _build(config, nnx.Rngs(0))))
 
 
 def _check_shape(name: str, array: Any, expected: tuple[int | None, ...]) -> None:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Array, Float
 
-from rtc_cli.core.conditioning import Select, TimeEmbedding, normalise
+from rtc_cli.core.conditioning import Select, TimeEmbedding, adaln_zero, modulate, normalise
 from rtc_cli.core.sizes import complete_sizes, require_even
 from rtc_cli.errors import UsageError
 
@@ -58,8 +58,8 @@ class TransformerBlock(nnx.Module):
         modulation: list[Float[Array, "#H #B C"]],
     ) -> Float[Array, "H B C"]:
         scale_1, shift_1, gate_1, scale_2, shift_2, gate_2 = modulation
-        x = x + gate_1 * self.attend(_modulate(x, scale_1, shift_1), context)
-        return x + gate_2 * self.mlp(_modulate(x, scale_2, shift_2))
+        x = x + gate_1 * self.attend(modulate(x, scale_1, shift_1), context)
+        return x + gate_2 * self.mlp(modulate(x, scale_2, shift_2))
 
     def attend(self, x: Float[Array, "H B C"], context: KeysValues) -> Float[Array, "H B C"]:
         """Attention of every token to all tokens of its chunk and to the context.
@@ -127,14 +127,7 @@ class Transformer(nnx.Module):
         self.context_hidden = _kernel(rngs, self.dtype, channels, sizes["channel_hidden"])
         self.context_out = _kernel(rngs, self.dtype, sizes["channel_hidden"], channels)
         self.time = TimeEmbedding(channels, rngs=rngs)
-        # All adaLN layers as one product: six vectors per block, two for the output.
-        self.adaln = nnx.Linear(
-            channels,
-            (6 * self.layers + 2) * channels,
-            kernel_init=nnx.initializers.zeros_init(),
-            param_dtype=self.dtype,
-            rngs=rngs,
-        )
+        self.adaln = adaln_zero(channels, self.layers, param_dtype=self.dtype, rngs=rngs)
         for index in range(self.layers):
             setattr(self, f"block_{index}", TransformerBlock(sizes, self.dtype, rngs))
         self.output = nnx.Linear(channels, action_dim, rngs=rngs)
@@ -152,8 +145,8 @@ class Transformer(nnx.Module):
         """Keys and values of the context in every block: what a chunk computes once."""
         seen = observations.astype(self.dtype) @ self.context_in[...]
         context = seen[:, None] + self.context_position[...]
-        hidden = nnx.gelu(_normalise(context) @ self.context_hidden[...])
-        context = _normalise(context + hidden @ self.context_out[...])
+        hidden = nnx.gelu(normalise(context) @ self.context_hidden[...])
+        context = normalise(context + hidden @ self.context_out[...])
         return [block.read(context) for block in self.blocks]
 
     def tokens(
@@ -170,7 +163,7 @@ class Transformer(nnx.Module):
             vectors = [select(table) for table in conditioning[6 * index : 6 * index + 6]]
             h = block(h, observed[index], vectors)
         scale, shift = (select(table) for table in conditioning[-2:])
-        h = _modulate(h, scale, shift)
+        h = modulate(h, scale, shift)
         return self.output(h.reshape(-1, h.shape[-1]).astype(jnp.float32)).reshape(x.shape)
 
     def velocity_per_token(
@@ -193,7 +186,7 @@ class Transformer(nnx.Module):
         parts = jnp.split(vectors.reshape(batch, horizon, -1), 6 * self.layers + 2, axis=-1)
         for index, block in enumerate(self.blocks):
             scale_1, shift_1, gate_1, scale_2, shift_2, gate_2 = parts[6 * index : 6 * index + 6]
-            mixed = _normalise(h) * (1 + scale_1) + shift_1
+            mixed = normalise(h) * (1 + scale_1) + shift_1
             queries = (mixed @ block.query[...]).reshape(batch, horizon, -1, block.head_dim)
             own = block._split(mixed @ block.key_value[...], batch, horizon)
             keys, values = (
@@ -202,10 +195,10 @@ class Transformer(nnx.Module):
             attended = jax.nn.dot_product_attention(queries, keys, values)
             h = h + gate_1 * (attended.reshape(batch, horizon, -1) @ block.attended[...])
             gate, value = jnp.split(
-                (_normalise(h) * (1 + scale_2) + shift_2) @ block.mlp_in[...], 2, axis=-1
+                (normalise(h) * (1 + scale_2) + shift_2) @ block.mlp_in[...], 2, axis=-1
             )
             h = h + gate_2 * ((nnx.gelu(gate) * value) @ block.mlp_out[...])
-        h = _normalise(h) * (1 + parts[-2]) + parts[-1]
+        h = normalise(h) * (1 + parts[-2]) + parts[-1]
         return self.output(h.astype(jnp.float32))
 
 
@@ -231,12 +224,3 @@ def _kernel(rngs: nnx.Rngs, dtype: Any, inputs: int, outputs: int) -> nnx.Param:
 
 def _table(rngs: nnx.Rngs, dtype: Any, rows: int, channels: int) -> nnx.Param:
     return nnx.Param(nnx.initializers.normal(0.02)(rngs.params(), (rows, channels), dtype))
-
-
-def _normalise(x: Float[Array, "... C"]) -> Float[Array, "... C"]:
-    """Layer norm, computed in float32 whatever the network's dtype."""
-    return normalise(x.astype(jnp.float32)).astype(x.dtype)
-
-
-def _modulate(x: Array, scale: Array, shift: Array) -> Array:
-    return _normalise(x) * (1 + scale) + shift

@@ -9,9 +9,9 @@ import pytest
 
 from rtc_cli.analysis import floor
 from rtc_cli.analysis.floor import Ceilings, Needs, bytes_read
-from rtc_cli.analysis.networks import PRESETS, check_memory, parameter_shapes, preset_config
+from rtc_cli.analysis.networks import PRESETS, check_memory, preset_config
 from rtc_cli.core.geometry import ChunkGeometry
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
+from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig, parameter_shapes
 from rtc_cli.errors import UsageError
 from rtc_cli.samplers import ChunkRequest, get_sampler
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from rtc_cli.report.profile.published import PUBLISHED
 from rtc_cli.report.style import INK, LOOKS, MUTED, RULE, looks, new_figure, tidy
 from rtc_cli.report.tables import Row
+from rtc_cli.units import three_digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,7 +51,7 @@ def _measured(axes: "Axes", rows: Sequence[Row]) -> None:
         for index in range(row["flow_steps"]):
             _bar(axes, place, left + index * step, step, look.colour)
         axes.plot([row["total_p50_ms"], row["total_p95_ms"]], [place] * 2, color=INK, linewidth=1.4)
-        words = f"{_digits(row['total_p95_ms'])} ms, d = {row['delay_at_hz']}"
+        words = f"{three_digits(row['total_p95_ms'])} ms, d = {row['delay_at_hz']}"
         _say(axes, place, row["total_p95_ms"], words)
     _names(axes, names, widest)
 
@@ -112,7 +113,3 @@ def _ticks(axes: "Axes", hz: float) -> None:
     top.set_xticks([1000 * mark / hz for mark in marks], [str(mark) for mark in marks])
     top.tick_params(length=0, labelsize=8, colors=MUTED, pad=0)
     top.spines["top"].set_visible(False)
-
-
-def _digits(milliseconds: float) -> str:
-    return f"{milliseconds:.0f}" if milliseconds >= 100 else f"{milliseconds:.3g}"

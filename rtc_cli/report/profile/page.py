@@ -10,6 +10,7 @@ from rtc_cli.report.profile.figure import chunk_figure
 from rtc_cli.report.profile.published import PUBLISHED
 from rtc_cli.report.tables import Row
 from rtc_cli.report.writing import ReportPaths, write_document
+from rtc_cli.units import three_digits
 
 _TIMES = {
     "p50_ms": "p50 (ms)",
@@ -61,7 +62,7 @@ def _sentence(rows: list[Row]) -> str:
     ]
     return (
         f"Batch {first['batch']}, {first['flow_steps']} flow steps: plain takes "
-        f"{_plain(first['p50_ms'])} ms. Times relative to it: {', '.join(parts)}."
+        f"{three_digits(first['p50_ms'])} ms. Times relative to it: {', '.join(parts)}."
     )
 
 
@@ -69,7 +70,7 @@ def _times(rows: list[Row]) -> Table:
     lines = [
         [
             str(row["sampler"]),
-            *(_plain(row[key]) for key in _TIMES),
+            *(three_digits(row[key]) for key in _TIMES),
             f"{row['ratio_to_plain']:.2f} ({row['ratio_low']:.2f} to {row['ratio_high']:.2f})",
         ]
         for row in rows
@@ -85,7 +86,7 @@ def _programs(rows: list[Row]) -> Table:
             _giga(row["flops"]),
             _giga(row["bytes"]),
             _giga(row["floor_bytes"]),
-            _plain(row["floor_ms"]),
+            three_digits(row["floor_ms"]),
             f"{row['over_floor']:.2f}",
             _giga(row["memory_bytes"]),
             f"{row['compile_s']:.1f}",
@@ -102,7 +103,7 @@ def _meaning(rows: list[Row]) -> Table:
     lines = [
         [
             str(row["sampler"]),
-            _plain(row["total_p95_ms"]),
+            three_digits(row["total_p95_ms"]),
             *(str(row[f"delay_{name}"]) for name in ("ceil", "nearest", "floor")),
             f"{row['chunk_share']:.0%}",
             *(f"{row['highest_hz'][d]:.3g}" for d in rates),
@@ -140,11 +141,6 @@ def _method(first: Row, machine: Mapping[str, Any]) -> list[str]:
         f"large matrix product, {first['dtype']}), both measured in the same run.",
         "GB to be read: every weight and cached key, as often as a product reads it.",
     ]
-
-
-def _plain(value: float) -> str:
-    """Three digits, or all before the point."""
-    return f"{value:.0f}" if value >= 1000 else f"{value:.3g}"
 
 
 def _giga(value: float | None) -> str:
