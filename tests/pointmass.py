@@ -22,6 +22,7 @@ class PointScene:
     action_noise: float = 0.1
     digest: str = "pointmass-1"
     broken_seeds: tuple[int, ...] = ()  # these episodes turn invalid at tick 3
+    hopeless_every: int = 0  # of these seeds every n-th cannot be solved and lasts to the end
 
     @property
     def action_low(self) -> np.ndarray:
@@ -85,7 +86,9 @@ class PointWorlds:
     def _judge(self, moved: np.ndarray) -> None:
         distance = np.linalg.norm(self.state[moved, :2], axis=-1)
         self.status[moved[self.tick[moved] >= self.scene.max_ticks]] = TIMEOUT
-        self.status[moved[distance < 0.4]] = SOLVED
+        every = self.scene.hopeless_every
+        hopeless = self.seed[moved] % every == 0 if every else np.zeros(len(moved), bool)
+        self.status[moved[(distance < 0.4) & ~hopeless]] = SOLVED
         self.status[moved[distance > 3.0]] = FAILED
         broken = np.isin(self.seed[moved], self.scene.broken_seeds) & (self.tick[moved] == 3)
         self.status[moved[broken]] = INVALID

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 FIRST_EPISODE_SEED = 900_000_000  # apart from the seeds of data, validation and evaluation
 SEEDS_PER_EXPERT = 10_000_000
 RECENT_EPISODES = 200  # success is judged over at least so many finished episodes
+CONFIRMED = 0.9  # share of the target that fresh episodes have to reach before training stops
 
 
 WorldsFactory = Callable[[Scene, int, int], WorldBatch]  # (scene, count, workers)
@@ -67,7 +68,9 @@ def train_expert(
     """Train one expert by PPO until it succeeds often enough or its steps are spent.
 
     Stops early when the success rate of sampled actions over the last max(200, worlds) finished
-    episodes reaches `config.target_success`; otherwise the best policy by that rate is returned.
+    episodes reaches `config.target_success` and one fresh episode per world confirms it: solved
+    episodes are short and so the first to finish, the rate alone may be far too high. Otherwise
+    the best policy by these rates is returned.
     The result depends on scene, config and seed only. `progress` gets, after each rollout, a
     record with `steps`, `max_steps`, `success` (None before 200 episodes have ended), `episodes`,
     `loss` (of the update before, None at first) and `steps_per_s`. NaN raises DivergedError.
@@ -83,17 +86,22 @@ def train_expert(
             policy = _policy(learner, scene)
             rollout = sampler.rollout(policy, config.rollout_ticks)
             success = sampler.success
-            if success is None or success >= best_success:
+            if (success or 0.0) >= best_success:
                 best, best_success = policy, success or 0.0
             if progress is not None:
                 progress(_record(sampler, config, loss, started))
-            if best_success >= config.target_success or sampler.steps >= config.max_steps:
-                break
+            spent = sampler.steps >= config.max_steps
+            if spent or best_success >= config.target_success:
+                measured = sampler.measure(best)
+                if spent or measured >= CONFIRMED * config.target_success:
+                    break
+                best_success = measured
+                sampler.start_afresh()
             draws = draw(random, rollout.reward.size, scene.action_dim, settings)
             learner, metrics = update(learner, rollout, draws, settings)
             loss = _finite_loss(metrics, scene, seed, sampler.steps)
         steps, seconds = sampler.steps, time.perf_counter() - started
-        return ExpertResult(best, sampler.measure(best), steps, seconds)
+        return ExpertResult(best, measured, steps, seconds)
 
 
 def _settings(config: "ExpertsConfig") -> UpdateSettings:
@@ -165,7 +173,12 @@ class _Sampler:
         self._recent: deque[bool] = deque(maxlen=max(RECENT_EPISODES, count))
         self._next_seed = FIRST_EPISODE_SEED + seed * SEEDS_PER_EXPERT
         self._random = random
-        self._obs = np.array(worlds.reset(self._seeds(count)), np.float32)
+        self.start_afresh()
+
+    def start_afresh(self) -> None:
+        """Begin a new episode in every world and forget how the latest ones ended."""
+        self._recent.clear()
+        self._obs = np.array(self.worlds.reset(self._seeds(self.count)), np.float32)
 
     @property
     def success(self) -> float | None:

@@ -31,6 +31,17 @@ def test_ppo_solves_a_point_mass_and_stops_early():
     assert [record["steps"] for record in records] == [2048 * (i + 1) for i in range(len(records))]
 
 
+def test_quick_successes_alone_do_not_end_training():
+    # A quarter of the episodes cannot be solved and lasts 400 ticks: nearly all of the first to
+    # finish are solved, though no policy solves more than three quarters.
+    records = []
+    scene = PointScene(max_ticks=400, hopeless_every=4)
+    result = train(scene=scene, progress=records.append, max_steps=32_000)
+    assert max(record["success"] or 0.0 for record in records) >= 0.9
+    assert result.steps >= 32_000
+    assert result.success <= 0.75
+
+
 def test_the_result_depends_on_the_seed_only():
     short = {"max_steps": 6000, "target_success": 1.0}
     first, again = train(seed=1, **short), train(seed=1, workers=2, **short)

@@ -2,8 +2,8 @@
 
 Three links in a row, with motors at the two joints, lie in a pool seen from above: no gravity, and
 water that takes away speed. A screw at the end of the tail pushes along the tail; the angle of the
-joints turns the chain, and nothing else does. Solved when any link touches the float, 3.2 m ahead
-and 1.65 m to the left. Failed when a link touches a wall of the pool.
+joints turns the chain, and nothing else does. Solved when any link touches the float, 3.6 m ahead
+and 2.4 m to the left. Failed when a link touches a wall of the pool.
 
 What makes it dynamic: the screw pushes from behind, the chain turns only while it swims, and a
 bend of the joints stays until a motor takes it back. A bend on its own would move the chain
@@ -53,15 +53,15 @@ from rtc_cli.tasks.scene import (
 LINK_LENGTH = 0.3
 LINK_WIDTH = 0.12
 LINK_KG = 0.1
-TARGET = (3.2, 1.65)
-TARGET_RADIUS = 0.2
+TARGET = (3.6, 2.4)
+TARGET_RADIUS = 0.34
 SCREW_N = 0.8
 JOINT_RATE = 0.85  # rad/s
 JOINT_TORQUE = 0.3  # N·m
 JOINT_LIMIT = 0.35  # rad
 DAMPING = 0.15  # share of the speed that is left after a second without thrust
 
-POOL = (-1.6, -1.2, 4.1, 2.7)  # m, left, bottom, right, top: inner edges of the walls
+POOL = (-2.0, -2.0, 6.0, 5.0)  # m, left, bottom, right, top: inner edges of the walls
 
 _CHAIN = 1  # collision group: the links do not touch each other
 _LINKS = ("head", "middle", "tail")
@@ -143,7 +143,7 @@ SCENE = Scene(
         Observe(kind="relative_angle", body="middle", other="tail"),
     ),
     progress_terms=(Distance(observation="head.relative_position.float"),),
-    jitters=(Jitter(bodies=_LINKS, position=(0.3, 0.2), angle=0.24),),
+    jitters=(Jitter(bodies=_LINKS, position=(0.4, 0.4), angle=0.35),),
     progress_scale=1.0,
     gravity=(0.0, 0.0),
     damping=DAMPING,
