@@ -150,9 +150,11 @@ class ResultStore:
         """Whether a cell is present, under these labels if they are given."""
         return bool(self._files(key, method, protocol))
 
-    def find(self, key: str) -> pd.DataFrame | None:
-        """The rows of a cell, whatever it is labelled; None if it is absent."""
-        files = self._files(key, None, None)
+    def find(
+        self, key: str, *, method: str | None = None, protocol: str | None = None
+    ) -> pd.DataFrame | None:
+        """The rows of a cell, whatever it is labelled if no labels are given; None if absent."""
+        files = self._files(key, method, protocol)
         return _read(files[0]) if files else None
 
     def append(self, key: str, rows: pd.DataFrame) -> Path:

@@ -51,7 +51,7 @@ class Timing:
         estimator: delays as the sampler is told.
         on_late: whether a late chunk is played from its index d_true on, or discarded.
         on_exceed: what happens if d_cond exceeds the delays that the checkpoint was trained for:
-            it is told all the same and the row is flagged, it is clamped, or the cell fails.
+            it is told all the same and the row is flagged, it is clamped, or the evaluation ends.
         observation_lag: the observation at tick t shows t - lag (at the start, tick 0).
     """
 

@@ -181,7 +181,7 @@ def evaluate(
 
     A cell in which the policy's chunks become NaN or infinite ends the evaluation with
     DivergedError, or is handed to `on_diverged` and passed over. A cell that exceeds the trained
-    delays although it must not is left out; PartialResult names it once the others are done.
+    delays although it must not ends it with PartialResult; cells that are done are kept.
     """
     from rtc_cli.execution.rollout import SLOTS
     from rtc_cli.results import ResultStore
@@ -190,7 +190,6 @@ def evaluate(
     store = ResultStore(target.store)
     checkpoints = _Checkpoints(target)
     missing = [cell for cell in cells if not _is_present(store, checkpoints, cell)]
-    failed: list[tuple[Cell, PartialResult]] = []
     numbered = enumerate(missing)
     for _, group in itertools.groupby(numbered, key=lambda pair: pair[1].action_noise):
         alike = list(group)
@@ -210,14 +209,17 @@ def evaluate(
                         raise
                     on_diverged(cell, error)
                 except PartialResult as error:
-                    failed.append((cell, error))
-    if failed:
-        cell, why = failed[0]
-        raise PartialResult(
-            f"{len(failed)} of {len(missing)} cells failed, the others are done; "
-            f"{target.task}, {_note(cell)}: {why.message}",
-            why.hint,
-        )
+                    raise _stopped(target, cell, error) from error
+
+
+def _stopped(target: Target, cell: Cell, why: PartialResult) -> PartialResult:
+    """Say which cell ends an evaluation under `on_exceed` "fail", and what is left of it."""
+    where = f"{short_name(target.task)}, training seed {target.train_seed}, {_note(cell)}"
+    return PartialResult(
+        f"{where}: {why.message}; with --on-exceed fail the evaluation stops there, cells that are "
+        "done are kept",
+        why.hint,
+    )
 
 
 def _note(cell: Cell) -> str:
@@ -305,8 +307,13 @@ def _timing_content(cell: Cell, support: tuple[int, ...] | None) -> dict[str, An
 
 
 def _is_present(store: ResultStore, checkpoints: _Checkpoints, cell: Cell) -> bool:
+    labels = {"method": cell.method.name, "protocol": cell.protocol}
     key = checkpoints.key(cell)
-    return store.has(key, method=cell.method.name, protocol=cell.protocol)
+    if cell.timing is None:
+        return store.has(key, **labels)
+    # The key of a trace is its content: a file under a new name needs a new label.
+    rows = store.find(key, **labels)
+    return rows is not None and rows["delay_model"].iloc[0] == cell.timing.model.text
 
 
 def _evaluate_cell(
@@ -335,6 +342,8 @@ def _evaluate_cell(
             worlds=worlds,
             progress=progress,
         )
+    if cell.timing is not None:
+        rows = rows.assign(delay_model=cell.timing.model.text)
     labels = {"method": cell.method.name, "protocol": cell.protocol}
     store.append(key, relabel(rows, train_seed=target.train_seed, policy=digest, **labels))
 

@@ -131,7 +131,7 @@ def timing_label(
 
 def condition_label(method: str) -> str:
     """Return the part of a method's name that tells noise and delays; "" where there is none."""
-    found = re.search(r"( \((noise|delays) [^()]*\))+$", method)
+    found = re.search(r" \((noise|delays) .*\)$", method)
     return found[0] if found else ""
 
 

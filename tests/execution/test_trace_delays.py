@@ -1,11 +1,14 @@
 """Delays from a trace: the trace's own distribution, its bursts, and the same ones every time."""
 
+import re
+
 import numpy as np
 import pytest
 
 from rtc_cli.errors import RtcError
 from rtc_cli.execution.delay_models import read_delay_model
 from rtc_cli.execution.timing import Timing
+from rtc_cli.report.selection import condition_label, timing_label
 
 
 def written(tmp_path, values, name="latencies.csv"):
@@ -56,9 +59,33 @@ def test_equal_files_and_generators_give_equal_delays(tmp_path):
     )
     assert one.content == two.content  # results are keyed by what is in the file
     assert np.array_equal(one.sequence(generator(3), 99), two.sequence(generator(3), 99))
-    assert hash(Timing(one)) == hash(Timing(read_delay_model(one.text)))
+    again = read_delay_model(f"trace:{tmp_path / 'a.csv'}@50")
+    assert Timing(one) == Timing(again)
+    assert hash(Timing(one)) == hash(Timing(again))
     changed = read_delay_model(f"trace:{written(tmp_path, values + 1, 'a.csv')}@50")
     assert changed.content != one.content
+    assert changed.text != one.text
+
+
+@pytest.mark.parametrize("name", ["robot (1).csv", "a,b@50,skip=3.csv", "x@y.csv", "[b]*|`.csv"])
+def test_any_file_name_is_read_and_shown(tmp_path, name):
+    path = written(tmp_path, [10.0, 30.0, 50.0], name)
+    model = read_delay_model(f"trace:{path}@50,skip=1,rounding=nearest")
+    assert model.mean == pytest.approx((2 + 3) / 2)
+    assert re.fullmatch(r"trace:[\w.-]+\.csv@50,nearest #[0-9a-f]{6}", model.text)
+    label = timing_label(model.text, "max-of-last:10", "play", "clamp", 0)
+    assert condition_label("pinv (mask=exp)" + label) == label
+
+
+def test_other_roundings(tmp_path):
+    path = written(tmp_path, [10.0, 29.0, 31.0, 40.0])
+    means = {
+        how: read_delay_model(f"trace:{path}@50{how}").mean
+        for how in ("", ",rounding=ceil", ",rounding=floor", ",rounding=nearest")
+    }
+    assert list(means.values()) == [7 / 4, 7 / 4, 4 / 4, 6 / 4]
+    contents = {read_delay_model(f"trace:{path}@50{how}").content for how in means}
+    assert len(contents) == 3
 
 
 @pytest.mark.parametrize(
@@ -69,6 +96,7 @@ def test_equal_files_and_generators_give_equal_delays(tmp_path):
         ("trace:{path}@50,skip=9", "9 are to be left out"),
         ("trace:{path}.none@50", "none"),
         ("trace:@50", "control rate"),
+        ("trace:{path}@50,rounding=up", "options that exist"),
     ],
 )
 def test_traces_that_cannot_be_used(tmp_path, text, said):

@@ -109,7 +109,7 @@ class Cells:
         self.done.append(cell.method.name)
 
 
-def test_a_failing_cell_does_not_stop_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failing_cell_stops_the_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
     stand_in = Cells()
     stand_in.scene = None  # type: ignore[attr-defined]
     monkeypatch.setattr("rtc_cli.results.ResultStore", lambda folder: None)
@@ -117,9 +117,12 @@ def test_a_failing_cell_does_not_stop_the_others(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(evaluation, "_Checkpoints", lambda target: stand_in)
     monkeypatch.setattr(evaluation, "_is_present", lambda *args: False)
     monkeypatch.setattr(evaluation, "_evaluate_cell", stand_in.evaluate)
-    target: Any = type("T", (), {"store": None, "episodes": 4, "task": "catcher"})
+    content = {"store": None, "episodes": 4, "task": "catcher", "train_seed": 3}
+    target: Any = type("T", (), content)
     found = cells('eval.delay_models=["uniform:0-4"]', "eval.methods=naive,pinv,prefix")
-    with pytest.raises(PartialResult, match=r"1 of 3 cells failed.*pinv, d = 2.*exceeds 2") as why:
+    said = r"catcher, training seed 3, pinv, d = 2.*exceeds 2.*the evaluation stops there"
+    with pytest.raises(PartialResult, match=said) as why:
         evaluation.evaluate(target, found, lambda *args: None)
-    assert stand_in.done == ["naive", "prefix"]
+    assert stand_in.done == ["naive"]
+    assert why.value.hint == "use --on-exceed play"
     assert why.value.exit_code == 5

@@ -1,22 +1,15 @@
 """One recorded episode of a method is the episode that an evaluation would count."""
 
-import jax
 import numpy as np
 import pytest
+from untrained_runs import untrained_policy, untrained_run
 
 from rtc_cli.core.geometry import ChunkGeometry
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
 from rtc_cli.errors import StateError, UsageError
 from rtc_cli.execution.methods import get_method
 from rtc_cli.execution.rollout import evaluate_cell
 from rtc_cli.pipeline.showing import record_method
-from rtc_cli.recipe import load_recipe
-from rtc_cli.runs import create_run
 from rtc_cli.tasks import get_task
-from rtc_cli.training.checkpoints import CheckpointMeta, save_checkpoint
-from rtc_cli.training.loop import initial_state
-
-OPTIONS = (("channel_hidden", 8), ("channels", 8), ("layers", 1), ("token_hidden", 8))
 
 
 @pytest.fixture(scope="module")
@@ -25,31 +18,13 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def policy(scene):
-    config = PolicyConfig("mixer", OPTIONS, 8, scene.obs_dim, scene.action_dim)
-    normaliser = Normaliser.identity(scene.obs_dim, scene.action_dim)
-    return Policy.init(config, normaliser, jax.random.key(0), adaln_zero=False)
+def policy():
+    return untrained_policy("catcher")
 
 
 @pytest.fixture
-def run(scene, policy, tmp_path):
-    recipe = load_recipe("quickstart", ('tasks=["catcher"]',))
-    run = create_run(recipe, tmp_path / "run")
-    meta = CheckpointMeta(
-        task=scene.name,
-        kind="base",
-        train_seed=0,
-        epoch=0,
-        epochs=1,
-        config=policy.config,
-        normaliser=policy.normaliser,
-        delays=None,
-        recipe_hash=recipe.content_hash,
-        scene_digest=scene.digest,
-    )
-    state = initial_state(policy.params, recipe.train, 0)
-    save_checkpoint(run.checkpoint("catcher", 0, "base"), state, meta)
-    return run
+def run(tmp_path):
+    return untrained_run(tmp_path / "run", "quickstart", ['tasks=["catcher"]'], ["base"])
 
 
 @pytest.mark.parametrize(("method", "s", "d"), [("naive", 3, 2), ("pinv", 4, 4), ("sync", 4, 2)])

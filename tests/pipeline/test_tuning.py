@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jax
 import pytest
+from untrained_runs import save_untrained
 
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
 from rtc_cli.errors import DivergedError
 from rtc_cli.pipeline.evaluation import (
     choose_tuned,
@@ -21,12 +20,8 @@ from rtc_cli.pipeline.evaluation import (
 from rtc_cli.recipe import TuneConfig, load_recipe
 from rtc_cli.results import ResultStore
 from rtc_cli.runs import Run, create_run
-from rtc_cli.tasks import get_task
-from rtc_cli.training.checkpoints import CheckpointMeta, save_checkpoint
-from rtc_cli.training.loop import initial_state
 
 TASK = "cartpole_thrust"
-OPTIONS = (("channel_hidden", 8), ("channels", 8), ("layers", 1), ("token_hidden", 8))
 OVERRIDES = [
     f"tasks={TASK}",
     "eval.tune.max_guidance_weight=1.0,1e38",  # the second overflows in float32
@@ -41,25 +36,8 @@ OVERRIDES = [
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
     """A run that holds an untrained base policy of the tuning seed."""
-    recipe, scene = load_recipe("standard", OVERRIDES), get_task(TASK)
-    run = create_run(recipe, tmp_path / "run")
-    config = PolicyConfig("mixer", OPTIONS, recipe.horizon, scene.obs_dim, scene.action_dim)
-    normaliser = Normaliser.identity(scene.obs_dim, scene.action_dim)
-    policy = Policy.init(config, normaliser, jax.random.key(0), adaln_zero=False)
-    meta = CheckpointMeta(
-        task=TASK,
-        kind="base",
-        train_seed=90,
-        epoch=0,
-        epochs=1,
-        config=config,
-        normaliser=normaliser,
-        delays=None,
-        recipe_hash=recipe.content_hash,
-        scene_digest=scene.digest,
-    )
-    folder = run.checkpoint(TASK, 90, "base")
-    save_checkpoint(folder, initial_state(policy.params, recipe.train, 90), meta)
+    run = create_run(load_recipe("standard", OVERRIDES), tmp_path / "run")
+    save_untrained(run, TASK, "base", 90)
     return run
 
 

@@ -26,6 +26,7 @@ from rtc_cli.report.tables import differences, pick, summarise
             ("poisson:2 cap 7", "percentile:0.95", "discard", "play", 2),
             " (delays poisson:2 cap 7, percentile:0.95, discard, lag 2)",
         ),
+        (("trace:a (1).csv@50", "exact", "play", "play", 0), " (delays trace:a (1).csv@50)"),
     ],
 )
 def test_labels(timing, label):
