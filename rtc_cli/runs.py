@@ -5,6 +5,7 @@
     experts/<task>/<seed>/  data/<task>/seed-<k>/  checkpoints/<task>/seed-<k>/<base|fork|prefix>/
     results/       episodes/*.parquet, training/*.json, profile.json
     report/
+    traces/        latencies that policies were evaluated under
     variants/<combination>/  runs of an ablation's grid, on these experts
     programs/      compiled programs; worth nothing on another machine
 
@@ -72,6 +73,11 @@ class Run:
     def results(self) -> Path:
         """Folder of everything measured."""
         return self.folder / "results"
+
+    @property
+    def traces(self) -> Path:
+        """Folder of the latencies that policies were evaluated under."""
+        return self.folder / "traces"
 
     @property
     def programs(self) -> Path:

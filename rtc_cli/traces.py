@@ -40,7 +40,8 @@ class LatencyTrace:
 
     `total_ms` (N,) is the sum of `components_ms`, name -> (N,), all finite and >= 0. `unit` is the
     file's ("ms", "s" or "ms and s"); here everything is ms. `kind` is "profile" where chunks were
-    timed one by one by `rtc profile`; `machine` is that profile's record. `warnings` are sentences.
+    timed one by one by `rtc profile`; `machine` is that profile's record and `flow_steps` the K of
+    its chunks, where it says so. `warnings` are sentences.
     """
 
     total_ms: NDArray[np.float64]
@@ -49,6 +50,7 @@ class LatencyTrace:
     unit: str
     kind: Literal["trace", "profile"] = "trace"
     machine: Mapping[str, Any] | None = None
+    flow_steps: int | None = None
     warnings: tuple[str, ...] = field(default=())
 
     def __len__(self) -> int:
@@ -405,6 +407,7 @@ def _from_profile(
         "ms",
         kind="profile",
         machine=machine if isinstance(machine, Mapping) else None,
+        flow_steps=row.get("flow_steps"),
     )
     return _add_fixed(trace, row.get("fixed_ms") or {})
 

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtc_cli.cli.evaluated import evaluated_episodes, select_episodes
+from rtc_cli.cli.evaluating import Asked
 from rtc_cli.cli.live import run_jobs
 from rtc_cli.levels import short_name
-from rtc_cli.recipe import EvalConfig
-from rtc_cli.runs import Run
 from rtc_cli.units import Rounding
 
 if TYPE_CHECKING:
@@ -18,10 +17,7 @@ if TYPE_CHECKING:
 
 
 def evaluate_charged(
-    run: Run,
-    config: EvalConfig,
-    tasks: tuple[str, ...],
-    seeds: tuple[int, ...],
+    asked: Asked,
     profile: Path,
     *,
     fixed_ms: Mapping[str, float],
@@ -35,6 +31,7 @@ def evaluate_charged(
     from rtc_cli.pipeline.evaluation import methods_of
     from rtc_cli.report.charge.rows import ChargedEpisodes, charge_differences, charge_rows
 
+    run, config, tasks, seeds = asked.run, asked.config, asked.tasks, asked.seeds
     samplers = {m.name: m.sampler for m in methods_of(config) if m.schedule != "oracle"}
     charges = read_charges(profile, samplers, fixed_ms=fixed_ms, hz=hz, rounding=rounding)
     charged = charged_evaluations(config, run.recipe.horizon, charges)

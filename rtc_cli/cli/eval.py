@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from rtc_cli.cli.live import run_jobs
+from rtc_cli.cli.evaluating import (
+    ask,
+    evaluate_asked,
+    open_asked,
+    read_methods,
+    read_protocols,
+)
 from rtc_cli.cli.options import (
     ChargeOption,
     DelayCapOption,
@@ -26,17 +32,13 @@ from rtc_cli.cli.options import (
     RoundingOption,
     RunOption,
     SaveOption,
+    SeedsOption,
     TasksOption,
     WorkersOption,
-    check_names,
     read_fixed_ms,
-    read_names,
-    split_names,
 )
 from rtc_cli.cli.output import document, output
 from rtc_cli.errors import UsageError
-from rtc_cli.levels import expand, short_name
-from rtc_cli.recipe import EvalConfig, Recipe
 from rtc_cli.units import parse_delays
 
 app = typer.Typer()
@@ -56,12 +58,7 @@ def evaluate(
     protocol: ProtocolOption = None,
     episodes: EpisodesOption = None,
     flow_steps: FlowStepsOption = None,
-    seeds: Annotated[
-        str | None,
-        typer.Option(
-            "--seeds", metavar="LIST", help="Training seeds, as in 0,2-4.  [default: the recipe's]"
-        ),
-    ] = None,
+    seeds: SeedsOption = None,
     hold: Annotated[
         str | None,
         typer.Option("--hold", metavar="last|zero", help="What sync executes while it waits."),
@@ -106,11 +103,8 @@ def evaluate(
     With --charge each method, with each number of flow steps that the profile holds, gets the delay
     that its own latency means at --hz, --fixed-ms added.
     """
-    from rtc_cli.cli.evaluated import evaluation_document, evaluation_tables, selected_episodes
-    from rtc_cli.pipeline.checks import check_evaluation
-    from rtc_cli.pipeline.plan import eval_plan
+    from rtc_cli.cli.evaluated import evaluation_document, evaluation_tables
     from rtc_cli.report.sections import compute
-    from rtc_cli.runs import newest_run, open_run
 
     if charge is None and (fixed_ms or save is not None):
         raise UsageError("--fixed-ms and --save belong to --charge", "give a profile with --charge")
@@ -119,14 +113,13 @@ def evaluate(
             "--charge has delays and flow steps of its own, from the profile",
             "leave --delays, --delay-model and --flow-steps away",
         )
+    if delays is not None and delay_model:
+        raise UsageError(
+            f"--delays {delays} and --delay-model {delay_model[0]} are two kinds of delays",
+            "give one of them; a delay that does not vary is a model too: constant:2",
+        )
     with output(as_json) as out:
-        opened = open_run(run) if run is not None else newest_run()
-        if delays is not None and delay_model:
-            raise UsageError(
-                f"--delays {delays} and --delay-model {delay_model[0]} are two kinds of delays",
-                "give one of them; a delay that does not vary is a model too: constant:2",
-            )
-        changes: dict[str, Any] = {
+        changes = {
             "delays": parse_delays(delays) if delays is not None else None,
             "delay_models": delay_model or (None if delays is None else []),
             "delay_cap": delay_cap,
@@ -134,8 +127,8 @@ def evaluate(
             "on_late": on_late,
             "on_exceed": on_exceed,
             "observation_lag": observation_lag,
-            "methods": _methods(methods),
-            "protocols": split_names(protocol) if protocol is not None else None,
+            "methods": read_methods(methods),
+            "protocols": read_protocols(protocol),
             "episodes": episodes,
             "flow_steps": flow_steps,
             "hold": hold,
@@ -146,18 +139,13 @@ def evaluate(
             "max_guidance_weight": max_guidance_weight,
             "prior_std": prior_std,
         }
-        config = _changed(opened.recipe, changes, guidance)
-        chosen_tasks = _tasks(tasks, opened.recipe)
-        chosen_seeds = _seeds(seeds, opened.recipe)
+        asked = ask(open_asked(run), changes, tasks=tasks, seeds=seeds, guidance=guidance)
         if charge is not None:
             from rtc_cli.cli.charged import evaluate_charged, render_charged
             from rtc_cli.results import machine_record
 
             content = evaluate_charged(
-                opened,
-                config,
-                chosen_tasks,
-                chosen_seeds,
+                asked,
                 charge,
                 fixed_ms=read_fixed_ms(fixed_ms),
                 hz=hz,
@@ -168,60 +156,8 @@ def evaluate(
                 from rtc_cli.report.charge.page import save_charge_page
 
                 save_charge_page(save, content)
-            shown = document(str(opened.folder), machine_record(), **content)
+            shown = document(str(asked.run.folder), machine_record(), **content)
             out.result(shown, *render_charged(content))
             return
-        check_evaluation(config, opened.recipe.horizon)
-        with opened.lock():
-            jobs = eval_plan(opened, config, chosen_tasks, chosen_seeds)
-            run_jobs(opened, jobs, workers)
-        results = compute(selected_episodes(opened, config, chosen_tasks, chosen_seeds))
-        out.result(evaluation_document(opened, results), *evaluation_tables(results))
-
-
-def _changed(
-    recipe: Recipe, changes: dict[str, Any], guidance: dict[str, str | float | None]
-) -> EvalConfig:
-    """Return the recipe's evaluation with the options in place, validated like a recipe."""
-    from rtc_cli.recipe import recipe_from_dict
-
-    content = recipe.model_dump(mode="json", exclude_none=True)
-    content["eval"] |= {name: value for name, value in changes.items() if value is not None}
-    pushed, episodes = content["eval"]["reaction_episodes"], content["eval"]["episodes"]
-    content["eval"]["reaction_episodes"] = min(pushed, episodes)
-    content["eval"]["pinv"] |= {n: value for n, value in guidance.items() if value is not None}
-    if changes["methods"] is not None:
-        content["eval"].pop("tune", None)
-    if not content["eval"]["delay_models"] and changes["delay_cap"] is None:
-        content["eval"].pop("delay_cap", None)
-    return recipe_from_dict(content, "options", fix="change that option").eval
-
-
-def _methods(text: str | None) -> tuple[str, ...] | None:
-    from rtc_cli.execution.methods import list_methods
-    from rtc_cli.pipeline.evaluation import TUNED
-
-    return None if text is None else read_names(text, (*list_methods(), TUNED), "method")
-
-
-def _tasks(text: str | None, recipe: Recipe) -> tuple[str, ...]:
-    """Names as the recipe has them, from full or short names; a folder stands for its levels."""
-    if text is None:
-        return recipe.tasks
-    known = {short_name(task): task for task in recipe.tasks}
-    asked = dict.fromkeys(short_name(task) for task in expand(split_names(text)))
-    return tuple(known[name] for name in check_names(asked, known, "task of this run"))
-
-
-def _seeds(text: str | None, recipe: Recipe) -> tuple[int, ...]:
-    if text is None:
-        return recipe.train.seeds
-    wanted = parse_delays(text, what="seeds")
-    for seed in wanted:
-        if seed not in recipe.train.seeds:
-            raise UsageError(
-                f"training seed {seed} is not in this run",
-                f"its training seeds are {', '.join(map(str, recipe.train.seeds))}; "
-                'add seeds to it with "rtc run --seeds"',
-            )
-    return wanted
+        results = compute(evaluate_asked(asked, workers))
+        out.result(evaluation_document(asked.run, results), *evaluation_tables(results))

@@ -7,20 +7,33 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rtc_cli.cli.options import (
+    EpisodesOption,
+    EstimatorOption,
     FixedMsOption,
     HzOption,
     JsonOption,
+    MethodsOption,
+    ObservationLagOption,
+    OnExceedOption,
+    OnLateOption,
+    ProtocolOption,
     RoundingOption,
     SaveOption,
+    SeedsOption,
+    TasksOption,
+    WorkersOption,
     complete_samplers,
     read_fixed_ms,
 )
 from rtc_cli.cli.output import number_table
+from rtc_cli.errors import UsageError
 from rtc_cli.traces import Unit
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
+
+    from rtc_cli.analysis.latency import LatencyAnalysis
 
 app = typer.Typer(rich_markup_mode=None)
 
@@ -96,6 +109,25 @@ def latency(
             help="Share of cycles in which d <= s <= H - d has to hold.",
         ),
     ] = 0.99,
+    run: Annotated[
+        Path | None,
+        typer.Option(
+            "--run",
+            metavar="DIR",
+            help="Evaluate this run's policies under the trace, at the recommended s and told as "
+            "recommended. The options below belong to it.",
+        ),
+    ] = None,
+    methods: MethodsOption = None,
+    tasks: TasksOption = None,
+    episodes: EpisodesOption = None,
+    seeds: SeedsOption = None,
+    protocol: ProtocolOption = None,
+    estimator: EstimatorOption = None,
+    on_late: OnLateOption = None,
+    on_exceed: OnExceedOption = None,
+    observation_lag: ObservationLagOption = None,
+    workers: WorkersOption = None,
     save: SaveOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -104,7 +136,9 @@ def latency(
     Finds warm-up, drift, outliers and bursts; gives percentiles with 95% intervals for the
     stationary part, the delays they mean at the control rate, the smallest H and s that hold them,
     the delay to tell the sampler, and training delays as keys of a recipe. A latency runs from the
-    observation's time stamp to "chunk usable".
+    observation's time stamp to "chunk usable". With --run it also measures how a trained run's
+    policies do under these latencies, drawn in blocks so that bursts stay: not under a constant
+    delay.
 
     \b
     Examples:
@@ -112,13 +146,34 @@ def latency(
       rtc latency robot.csv --column vision_ms --column expert_ms --column network_ms
       rtc latency profile.json --sampler prefix --fixed-ms 62 --horizon 50
       rtc latency robot.parquet --hz 30 --save latency --json
+      rtc latency robot.csv --hz 50 --run runs/mine --methods naive,prefix --episodes 256
     """
-    from rtc_cli.analysis.findings import advice, findings
-    from rtc_cli.analysis.latency import analyse, analysis_document
-    from rtc_cli.cli.output import document, output, plain
+    from rtc_cli.analysis.latency import analyse
+    from rtc_cli.cli.output import output, plain
     from rtc_cli.traces import read_trace
 
+    options: dict[str, Any] = {
+        "methods": methods,
+        "tasks": tasks,
+        "episodes": episodes,
+        "seeds": seeds,
+        "protocol": protocol,
+        "estimator": estimator or None,
+        "on_late": on_late,
+        "on_exceed": on_exceed,
+        "observation_lag": observation_lag,
+        "workers": workers,
+    }
+    if run is None:
+        _refuse(options)
     with output(as_json) as out:
+        opened = None
+        if run is not None:
+            from rtc_cli.cli.traced import evaluate_traced, horizon_of
+            from rtc_cli.runs import open_run
+
+            opened = open_run(run)
+            horizon = horizon_of(opened, horizon)
         measured = read_trace(
             trace,
             columns=column or (),
@@ -131,9 +186,10 @@ def latency(
         analysis = analyse(
             measured, hz=hz, rounding=rounding, horizon=horizon, percentile=percentile
         )
-        more = analysis_document(analysis)
-        more |= {"findings": findings(analysis), "advice": advice(analysis)}
-        result = plain(document(None, measured.machine or {}, more.pop("rows"), **more))
+        content = _document(analysis)
+        if opened is not None:
+            content |= evaluate_traced(opened, analysis, trace.stem, **options)
+        result = plain(content)
         page: list[RenderableType] = []
         where = {}
         if save is not None:
@@ -143,6 +199,24 @@ def latency(
             where = {"page": str(built.html), "markdown": str(built.markdown)}
             page.append(f"page: {built.html}\n      {built.markdown}")
         out.result(result | where, *_render(result), *page)
+
+
+def _refuse(options: Mapping[str, Any]) -> None:
+    """Refuse what belongs to an evaluation where none was asked for."""
+    for name, value in options.items():
+        if value is not None:
+            option = name.replace("_", "-")
+            raise UsageError(f"--{option} belongs to --run", "give the run that is to be evaluated")
+
+
+def _document(analysis: "LatencyAnalysis") -> dict[str, Any]:
+    from rtc_cli.analysis.findings import advice, findings
+    from rtc_cli.analysis.latency import analysis_document
+    from rtc_cli.cli.output import document
+
+    more = analysis_document(analysis)
+    more |= {"findings": findings(analysis), "advice": advice(analysis)}
+    return document(None, analysis.trace.machine or {}, more.pop("rows"), **more)
 
 
 def _render(result: Mapping[str, Any]) -> list["RenderableType"]:
@@ -161,6 +235,10 @@ def _render(result: Mapping[str, Any]) -> list["RenderableType"]:
     ]
     if result["recipe"] is not None:
         shown += [Text("Keys for a recipe:", style="bold"), Text(result["recipe"])]
+    if "evaluation" in result:
+        from rtc_cli.cli.traced import render_traced
+
+        shown += render_traced(result)
     return shown
 
 

@@ -88,6 +88,12 @@ NewSeedsOption = Annotated[
         "has and gets the others too.  [default: the recipe's]",
     ),
 ]
+SeedsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--seeds", metavar="LIST", help="Training seeds, as in 0,2-4.  [default: the recipe's]"
+    ),
+]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON document on stdout instead of tables.")
 ]
@@ -116,7 +122,8 @@ DelayModelOption = Annotated[
         "--delay-model",
         metavar="MODEL",
         help="Delays that vary, instead of --delays: constant:2, uniform:0-4, poisson:1.5, "
-        "mixture:0.9*constant:1+0.1*uniform:3-6, trace:FILE@HZ. Repeatable.",
+        "mixture:0.9*constant:1+0.1*uniform:3-6, trace:FILE@HZ (,skip=ROWS, ,rounding=HOW). "
+        "Repeatable.",
         autocompletion=complete_first(("constant:", "uniform:", "poisson:", "mixture:", "trace:")),
     ),
 ]
@@ -154,7 +161,7 @@ OnExceedOption = Annotated[
     typer.Option(
         "--on-exceed",
         metavar="play|clamp|fail",
-        help="A told delay beyond the trained ones: tell and flag it, clamp it, or fail the cell.  "
+        help="A told delay beyond the trained ones: tell and flag it, clamp it, or stop.  "
         "[default: the recipe's]",
         autocompletion=complete_first(("play", "clamp", "fail")),
     ),

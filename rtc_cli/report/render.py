@@ -35,12 +35,13 @@ def success_grid(
         line = [name]
         for delay, exec_horizon in cells:
             found = pick(mine, **{series: name}, delay=delay, exec_horizon=exec_horizon)
-            line.append(_success_cell(found[0], intervals) if found else "-")
+            line.append(success_cell(found[0], intervals) if found else "-")
         lines.append(line)
     return Grid([series, *_heads(cells)], lines)
 
 
-def _success_cell(row: Row, intervals: bool) -> str:
+def success_cell(row: Row, intervals: bool = True) -> str:
+    """Return success in percent with its interval; * marks requests beyond the trained delays."""
     mark = "*" if row.get("beyond_trained") else ""
     text = points(row["success"]) + mark
     low, high = points(row["success_low"]), points(row["success_high"])
@@ -69,7 +70,7 @@ def differences_grid(
         line = [pair_text(method, baseline)]
         for delay, s in cells:
             found = pick(mine, method=method, baseline=baseline, delay=delay, exec_horizon=s)
-            line.append(_difference_cell(found[0], intervals) if found else "-")
+            line.append(difference_cell(found[0], intervals) if found else "-")
         lines.append(line)
     return Grid(["difference", *_heads(cells)], lines)
 
@@ -81,7 +82,8 @@ def pair_text(method: str, baseline: str) -> str:
     return f"{method.removesuffix(label) if shared else method} − {baseline}"
 
 
-def _difference_cell(row: Row, intervals: bool) -> str:
+def difference_cell(row: Row, intervals: bool = True) -> str:
+    """Return a difference in percentage points, bold where the interval excludes 0."""
     text = points(row["difference"], sign=True)
     if row["low"] is not None and (row["low"] > 0 or row["high"] < 0):
         text = f"**{text}**"

@@ -16,6 +16,7 @@ from rtc_cli.report.document import (
     Table,
 )
 from rtc_cli.report.latency import figures
+from rtc_cli.report.latency.evaluation import evaluation_section, sentences
 from rtc_cli.report.writing import ReportPaths, write_document
 
 Data = Mapping[str, Any]
@@ -30,19 +31,24 @@ GLOSSARY = (
 )
 
 
+_TABLES = ("delays", "estimators", "evaluation", "differences")
+
+
 def build_latency_page(folder: Path | str, data: dict[str, Any]) -> ReportPaths:
     """Write report.md, index.html, rows.json and tables from the document of `rtc latency`."""
-    tables = {"rows": "percentiles", "delays": "delays", "estimators": "estimators"}
+    tables = {"rows": "percentiles"} | {name: name for name in _TABLES}
     return write_document(Path(folder), latency_document(data), data, tables)
 
 
 def latency_document(data: Data) -> Document:
-    """Return the page; `data` is what `rtc latency --json` prints."""
+    """Return the page; `data` is what `rtc latency --json` prints, with `--run` or without."""
+    policies = [evaluation_section(data)] if "evaluation" in data else []
+    evaluated = sentences(data)[1:2] if policies else []
     return Document(
         title="Latency: which delay, which horizon, what to train on",
         subtitle=f"{data['trace']['rows']} chunks: `{data['trace']['source']}`.",
         question=f"What do these latencies mean at {data['hz']:g} Hz?",
-        answer=[*data["trace"]["warnings"], *data["advice"]],
+        answer=[*data["trace"]["warnings"], *data["advice"], *evaluated],
         sections=[
             _trace(data),
             _distribution(data),
@@ -51,6 +57,7 @@ def latency_document(data: Data) -> Document:
             _horizons(data),
             _estimators(data),
             _recipe(data),
+            *policies,
             Section("words", "Words", [Definitions(GLOSSARY)]),
         ],
     )
