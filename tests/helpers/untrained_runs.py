@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from rtc_cli.training.loop import initial_state
 OPTIONS = (("channel_hidden", 8), ("channels", 8), ("layers", 1), ("token_hidden", 8))
 
 
+@functools.cache
 def untrained_policy(task: str, horizon: int = 8) -> Policy:
     """A small network with random weights, normalised actions and observations left as they are."""
     scene = get_task(task)

@@ -27,11 +27,12 @@ _COUNTS = {
 }
 _UNTOLD = ("sync", "oracle")
 _ALIKE_HZ = 0.01
+_MOST_SAID = 4  # rows in a sentence
 
 
 def sentences(data: Data) -> list[str]:
     """Say how the policies were evaluated, what they solve, and what limits that."""
-    return [_how(data), _solved(data), *_untrained(data), *_limits(data)]
+    return [_how(data), *solved(data), *_untrained(data), *_limits(data)]
 
 
 def _how(data: Data) -> str:
@@ -52,13 +53,17 @@ def _where(data: Data) -> str:
     return f"{data['run']}: {what}, {len(seeds)} training seed{'s' if len(seeds) > 1 else ''}"
 
 
-def _solved(data: Data) -> str:
+def solved(data: Data) -> list[str]:
+    """Return the success of each method in a sentence; none where a table is easier to read."""
+    rows = _shown(data)
+    if len(rows) > _MOST_SAID:
+        return []
     found = (
         f"{_name(row, data)} {points(row['success'])}% "
         f"{interval(row['success_low'], row['success_high'])}"
-        for row in _shown(data)
+        for row in rows
     )
-    return f"Solved under these latencies: {', '.join(found)}."
+    return [f"Solved under these latencies: {', '.join(found)}."]
 
 
 def _untrained(data: Data) -> list[str]:
@@ -96,7 +101,7 @@ def evaluation_grid(data: Data) -> Grid:
         ]
         for row in _shown(data)
     ]
-    return Grid(["method", "told", "s", "solved (%)", *_COUNTS.values()], lines, left=2)
+    return Grid(["method", "told", "s", "solved %", *_COUNTS.values()], lines, left=2)
 
 
 def difference_grid(data: Data) -> Grid:

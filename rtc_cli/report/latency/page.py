@@ -16,7 +16,7 @@ from rtc_cli.report.document import (
     Table,
 )
 from rtc_cli.report.latency import figures
-from rtc_cli.report.latency.evaluation import evaluation_section, sentences
+from rtc_cli.report.latency.evaluation import evaluation_section, solved
 from rtc_cli.report.writing import ReportPaths, write_document
 
 Data = Mapping[str, Any]
@@ -43,7 +43,7 @@ def build_latency_page(folder: Path | str, data: dict[str, Any]) -> ReportPaths:
 def latency_document(data: Data) -> Document:
     """Return the page; `data` is what `rtc latency --json` prints, with `--run` or without."""
     policies = [evaluation_section(data)] if "evaluation" in data else []
-    evaluated = sentences(data)[1:2] if policies else []
+    evaluated = solved(data) if policies else []
     return Document(
         title="Latency: which delay, which horizon, what to train on",
         subtitle=f"{data['trace']['rows']} chunks: `{data['trace']['source']}`.",
