@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -38,6 +39,12 @@ TINY = [
     "eval.delays=0,2",
     "eval.episodes=12",
     "profile.rounds=2",
+]
+# Enough to compare rows; what takes time is starting processes and compiling.
+FEWER = ["--set", "train.epochs=4", "--set", "eval.methods=naive,prefix"]
+VARYING = [
+    *("--delay-model", "constant:0", "--delay-model", "constant:2"),
+    *("--delay-model", "uniform:0-4", "--estimator", "exact", "--estimator", "max-of-last:3"),
 ]
 SETTINGS = [part for setting in TINY for part in ("--set", setting)]
 COMMAND = [sys.executable, "-m", "rtc_cli"]
@@ -85,13 +92,14 @@ def test_training_killed_and_resumed_ends_with_the_same_bits(tmp_path: Path) -> 
 def test_rows_do_not_depend_on_workers_and_present_cells_are_not_computed_again(
     tmp_path: Path,
 ) -> None:
-    _rtc("run", "quickstart", "--run", "one", "--workers", "1", *SETTINGS, folder=tmp_path)
-    _rtc("run", "quickstart", "--run", "two", "--workers", "2", *SETTINGS, folder=tmp_path)
-    varying = ("--delay-model", "uniform:0-4", "--estimator", "max-of-last:3")
+    _rtc("train", "quickstart", "--run", "one", *SETTINGS, *FEWER, folder=tmp_path)
+    shutil.copytree(tmp_path / "one", tmp_path / "two")
+    _rtc("run", "--run", "one", "--workers", "1", folder=tmp_path)
     for name, workers in (("one", "1"), ("two", "2")):
-        _rtc("eval", "--run", name, "--workers", workers, *varying, folder=tmp_path)
+        _rtc("eval", "--run", name, "--workers", workers, *VARYING, folder=tmp_path)
     one, two = (_rows(tmp_path / name) for name in ("one", "two"))
     assert set(one.delay_model) == {"constant:0", "constant:2", "uniform:0-4"}
+    assert set(one.estimator) == {"exact", "max-of-last:3"}
     pd.testing.assert_frame_equal(one, two)
     cells = sorted((tmp_path / "one" / "results" / "episodes").glob("*.parquet"))
     times = [path.stat().st_mtime_ns for path in cells]
@@ -105,4 +113,5 @@ def test_rows_do_not_depend_on_workers_and_present_cells_are_not_computed_again(
 
 def _rows(run: Path) -> pd.DataFrame:
     rows = ResultStore(run / "results" / "episodes").load()
-    return rows.sort_values(["method", "delay", "delay_model", "episode"], ignore_index=True)
+    order = ["method", "delay", "delay_model", "estimator", "protocol", "episode"]
+    return rows.sort_values(order, ignore_index=True)
