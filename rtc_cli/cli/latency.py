@@ -115,7 +115,7 @@ def latency(
             "--run",
             metavar="DIR",
             help="Evaluate this run's policies under the trace, at the recommended s and told as "
-            "recommended. The options below belong to it.",
+            "recommended; --methods to --workers belong to it.",
         ),
     ] = None,
     methods: MethodsOption = None,

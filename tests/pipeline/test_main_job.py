@@ -41,7 +41,10 @@ TINY = [
     "profile.rounds=2",
 ]
 # Enough to compare rows; what takes time is starting processes and compiling.
-FEWER = ["--set", "train.epochs=4", "--set", "eval.methods=naive,prefix"]
+FEWER = [
+    *("--set", "train.epochs=4", "--set", "eval.methods=naive,prefix"),
+    *("--set", "profile.samplers=prefix"),
+]
 VARYING = [
     *("--delay-model", "constant:0", "--delay-model", "constant:2"),
     *("--delay-model", "uniform:0-4", "--estimator", "exact", "--estimator", "max-of-last:3"),
