@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from random_weights import random_policy as weights
 
 from rtc_cli.analysis import profile
 from rtc_cli.analysis.networks import random_policy
@@ -15,7 +16,7 @@ from rtc_cli.analysis.profile import (
     ratio_interval,
 )
 from rtc_cli.core.geometry import ChunkGeometry
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
+from rtc_cli.core.policy import PolicyConfig
 from rtc_cli.errors import UsageError
 from rtc_cli.samplers import ChunkRequest, get_sampler
 
@@ -28,8 +29,7 @@ ROW_KEYS = {
 @pytest.fixture(scope="module")
 def policy():
     sizes = (("layers", 1), ("channels", 8), ("channel_hidden", 8), ("token_hidden", 4))
-    config = PolicyConfig("mixer", sizes, 4, 5, 2)
-    return Policy.init(config, Normaliser.identity(5, 2), jax.random.key(0), adaln_zero=False)
+    return weights(PolicyConfig("mixer", sizes, 4, 5, 2))
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +49,13 @@ def test_rows(rows):
 
 
 def test_per_token_is_the_same_sampler(policy):
-    key = jax.random.key(1)
-    noise, overlap = jax.random.normal(key, (2, 3, 4, 2))
-    observations = jax.random.normal(jax.random.fold_in(key, 1), (3, 5))
+    generator = np.random.default_rng(1)
+    noise, overlap = generator.standard_normal((2, 3, 4, 2), np.float32)
     request = ChunkRequest(ChunkGeometry(4, 2, 2), 3, noise, overlap)
-    velocity = policy.velocity(observations)
-    chunk = prefix_per_token(velocity, request)
-    np.testing.assert_allclose(chunk, get_sampler("prefix")(velocity, request), atol=2e-5)
+    velocity = policy.velocity(generator.standard_normal((3, 5), np.float32))
+    chunk = jax.jit(prefix_per_token)(velocity, request)
+    expected = jax.jit(get_sampler("prefix").__call__)(velocity, request)
+    np.testing.assert_allclose(chunk, expected, atol=2e-5)
     assert jnp.array_equal(chunk[:, :2], overlap[:, :2])
 
 

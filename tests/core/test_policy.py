@@ -1,11 +1,13 @@
 """Network and policy: two paths of one function, closed forms of the loss, types of actions."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from random_weights import random_policy
 
 from rtc_cli.core.delays import DelayDistribution
 from rtc_cli.core.policy import (
@@ -25,24 +27,48 @@ CONFIG = PolicyConfig("mixer", OPTIONS, H, OBS, A)
 
 @pytest.fixture(scope="module")
 def policy():
-    return Policy.init(CONFIG, Normaliser.identity(OBS, A), jax.random.key(0), adaln_zero=False)
+    return random_policy(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def initial():
+    return Policy.init(CONFIG, Normaliser.identity(OBS, A), jax.random.key(0))
 
 
 @pytest.fixture(scope="module")
 def batch():
-    keys = jax.random.split(jax.random.key(1), 3)
-    obs = jax.random.normal(keys[0], (B, OBS))
-    actions, noise = (jax.random.normal(key, (B, H, A)) for key in keys[1:])
+    draw = np.random.default_rng(1).standard_normal
+    obs, actions, noise = (
+        jnp.asarray(draw(shape), jnp.float32) for shape in ((B, OBS), (B, H, A), (B, H, A))
+    )
     return obs, actions, noise
+
+
+@jax.jit
+def velocity(policy, obs, x, tau):
+    return policy.velocity(obs)(x, tau)
+
+
+@jax.jit
+def loss_at(policy, *examples):
+    return policy.loss_at(*examples)
+
+
+@functools.partial(jax.jit, static_argnames="delays")
+def gradient_of_loss(policy, *batch, delays):
+    def loss_of(params):
+        return dataclasses.replace(policy, params=params).loss(*batch, delays)
+
+    return jax.value_and_grad(loss_of)(policy.params)
 
 
 def test_table_equals_per_token_path(policy, batch):
     obs, x, _ = batch
     times = jnp.array([0.0, 0.3, 0.7, 1.0])
-    rows = jax.random.randint(jax.random.key(2), (H, B), 0, 4)
-    field = policy.velocity(obs)
-    expected = field(x, times[rows].T)
-    got = field.tabulate(times)(jnp.swapaxes(x, 0, 1), rows)
+    rows = np.random.default_rng(2).integers(0, 4, (H, B))
+    expected = velocity(policy, obs, x, times[rows].T)
+    field = jax.jit(lambda policy, x, rows: policy.velocity(obs).tabulate(times)(x, rows))
+    got = field(policy, jnp.swapaxes(x, 0, 1), rows)
     assert float(jnp.std(expected)) > 0.1
     np.testing.assert_allclose(jnp.swapaxes(got, 0, 1), expected, atol=1e-5)
 
@@ -75,21 +101,21 @@ def test_mixer_is_the_written_out_network(policy, batch):
         z = norm(h) * (1 + s2) + b2
         h = h + g2 * (gelu(z @ block["channel_in"]) @ block["channel_out"])
     v = (norm(h) * (1 + parts[12]) + parts[13]) @ p["output"]["kernel"] + p["output"]["bias"]
-    got = policy.velocity(batch[0][:1])(batch[1][:1], jnp.asarray(tau, jnp.float32)[None])
+    got = velocity(policy, *batch[:2], jnp.tile(jnp.asarray(tau, jnp.float32), (B, 1)))
     np.testing.assert_allclose(got[0], v, atol=2e-4)
 
 
 def test_vjp_against_finite_differences(policy, batch):
     obs, x, direction = batch
-    table = policy.velocity(obs).tabulate(jnp.array([0.4]))
     rows = jnp.zeros((1, 1), jnp.int32)
 
     @jax.jit
     def field(x):
+        table = policy.velocity(obs).tabulate(jnp.array([0.4]))
         return jnp.swapaxes(table(jnp.swapaxes(x, 0, 1), rows), 0, 1)
 
-    cotangent = jax.random.normal(jax.random.key(3), x.shape)
-    (pulled,) = jax.vjp(field, x)[1](cotangent)
+    cotangent = np.random.default_rng(3).standard_normal(x.shape, np.float32)
+    (pulled,) = jax.jit(lambda x, cotangent: jax.vjp(field, x)[1](cotangent))(x, cotangent)
     step = 1e-2
     difference = (field(x + step * direction) - field(x - step * direction)) / (2 * step)
     expected = jnp.sum(difference * cotangent, axis=(1, 2))
@@ -100,11 +126,11 @@ def test_loss_is_the_ordinary_mean_without_delay(policy, batch):
     obs, actions, noise = batch
     tau = jnp.array([0.0, 0.2, 0.5, 0.9])
     x = tau[:, None, None] * actions + (1 - tau[:, None, None]) * noise
-    v = policy.velocity(obs)(x, jnp.broadcast_to(tau[:, None], (B, H)))
+    v = velocity(policy, obs, x, jnp.broadcast_to(tau[:, None], (B, H)))
     expected = float(jnp.mean((v - (actions - noise)) ** 2))
     valid = jnp.ones((B, H), bool)
     for delay in (None, jnp.zeros(B, jnp.int32)):
-        got = policy.loss_at(obs, actions, valid, noise, tau, delay)
+        got = loss_at(policy, obs, actions, valid, noise, tau, delay)
         assert float(got) == pytest.approx(expected, rel=1e-5)
 
 
@@ -115,9 +141,9 @@ def test_loss_with_delays_counts_valid_postfix_elements_only(policy, batch):
     prefix = np.arange(H) < delay[:, None]
     times = jnp.asarray(np.where(prefix, 1, tau[:, None]), jnp.float32)
     x = times[..., None] * actions + (1 - times[..., None]) * noise
-    error = np.asarray(policy.velocity(obs)(x, times) - (actions - noise))
+    error = np.asarray(velocity(policy, obs, x, times) - (actions - noise))
     expected = float(np.mean(error[valid & ~prefix] ** 2))
-    got = policy.loss_at(obs, actions, valid, noise, jnp.asarray(tau), jnp.asarray(delay))
+    got = loss_at(policy, obs, actions, valid, noise, jnp.asarray(tau), jnp.asarray(delay))
     assert float(got) == pytest.approx(expected, rel=1e-5)
 
 
@@ -127,7 +153,7 @@ def test_prefix_enters_clean(policy, batch):
     tau, delay, valid = jnp.full(B, 0.3), jnp.full(B, 2), jnp.ones((B, H), bool)
 
     def loss(noise):
-        return policy.loss_at(obs, actions, valid, noise, tau, delay)
+        return loss_at(policy, obs, actions, valid, noise, tau, delay)
 
     assert float(loss(noise)) == float(loss(noise.at[:, :2].set(7.0)))
     assert float(loss(noise)) != float(loss(noise.at[:, 2].set(7.0)))
@@ -136,10 +162,10 @@ def test_prefix_enters_clean(policy, batch):
 def test_loss_is_zero_when_nothing_counts(policy, batch):
     obs, actions, noise = batch
     tau, none_valid = jnp.full(B, 0.3), jnp.zeros((B, H), bool)
-    assert float(policy.loss_at(obs, actions, none_valid, noise, tau, None)) == 0.0
+    assert float(loss_at(policy, obs, actions, none_valid, noise, tau, None)) == 0.0
     everything = jnp.full(B, H)
     valid = jnp.ones((B, H), bool)
-    assert float(policy.loss_at(obs, actions, valid, noise, tau, everything)) == 0.0
+    assert float(loss_at(policy, obs, actions, valid, noise, tau, everything)) == 0.0
 
 
 def test_invalid_steps_do_not_reach_the_gradient(policy):
@@ -160,12 +186,10 @@ def test_gradient_in_tiles_is_the_gradient_of_the_loss(policy, batch, tile, monk
     valid = jnp.arange(H) < jnp.array([[1], [H], [3], [2]])
     key, delays = jax.random.key(5), DelayDistribution.uniform(range(3))
     monkeypatch.setattr("rtc_cli.core.policy._TILE_ACTIVATIONS", tile * H * 16)
-    loss, gradient = policy.loss_and_gradient(obs, actions, valid, key, delays)
-
-    def loss_of(params):
-        return dataclasses.replace(policy, params=params).loss(obs, actions, valid, key, delays)
-
-    expected_loss, expected = jax.value_and_grad(loss_of)(policy.params)
+    examples = (obs, actions, valid, key)
+    in_tiles = jax.jit(lambda policy, *batch: policy.loss_and_gradient(*batch, delays))
+    loss, gradient = in_tiles(policy, *examples)
+    expected_loss, expected = gradient_of_loss(policy, *examples, delays=delays)
     np.testing.assert_allclose(loss, expected_loss, rtol=1e-5)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), gradient, expected)
 
@@ -173,36 +197,26 @@ def test_gradient_in_tiles_is_the_gradient_of_the_loss(policy, batch, tile, monk
 def test_loss_draws_the_same_noise_with_and_without_delays(policy, batch):
     obs, actions, _ = batch
     valid, key = jnp.ones((B, H), bool), jax.random.key(5)
-
-    @jax.jit
-    def gradient(params, key):
-        new = dataclasses.replace(policy, params=params)
-        zero = DelayDistribution.constant(0)
-        return [
-            jax.value_and_grad(
-                lambda p, d=d: dataclasses.replace(new, params=p).loss(obs, actions, valid, key, d)
-            )(params)
-            for d in (None, zero)
-        ]
-
-    (plain, plain_gradient), (delayed, delayed_gradient) = gradient(policy.params, key)
+    (plain, plain_gradient), (delayed, delayed_gradient) = (
+        gradient_of_loss(policy, obs, actions, valid, key, delays=delays)
+        for delays in (None, DelayDistribution.constant(0))
+    )
     assert float(plain) == pytest.approx(float(delayed), rel=1e-6)
     jax.tree.map(
         lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), plain_gradient, delayed_gradient
     )
 
 
-def test_initial_adaln_is_zero(batch):
+def test_initial_adaln_is_zero(initial, batch):
     obs, x, _ = batch
-    policy = Policy.init(CONFIG, Normaliser.identity(OBS, A), jax.random.key(0))
-    early, late = (policy.velocity(obs)(x, jnp.full((B, H), t)) for t in (0.1, 0.8))
+    early, late = (velocity(initial, obs, x, jnp.full((B, H), t)) for t in (0.1, 0.8))
     np.testing.assert_array_equal(early, late)
 
 
-def test_params_are_a_plain_tree(policy):
-    keys = {type(k) for path, _ in jax.tree.leaves_with_path(policy.params) for k in path}
+def test_params_are_a_plain_tree(initial):
+    keys = {type(k) for path, _ in jax.tree.leaves_with_path(initial.params) for k in path}
     assert keys == {jax.tree_util.DictKey}
-    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(policy.params))
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(initial.params))
 
 
 def test_normaliser_round_trip():

@@ -1,11 +1,10 @@
 """The transformer against itself written out plainly, and against what a context must not do."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from random_weights import random_policy
 
 from rtc_cli.core.geometry import ChunkGeometry
 from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
@@ -26,8 +25,7 @@ SIZES = {
 
 def make(**changes: int) -> Policy:
     options = tuple((SIZES | changes).items())
-    config = PolicyConfig("transformer", options, H, OBS, A)
-    return initial(config, adaln_zero=False)
+    return random_policy(PolicyConfig("transformer", options, H, OBS, A))
 
 
 @pytest.fixture(scope="module")
@@ -37,15 +35,10 @@ def policy() -> Policy:
 
 @pytest.fixture(scope="module")
 def inputs() -> tuple[jax.Array, jax.Array, jax.Array]:
-    keys = jax.random.split(jax.random.key(1), 3)
-    observations = jax.random.normal(keys[0], (B, OBS))
-    return observations, jax.random.normal(keys[1], (B, H, A)), jax.random.uniform(keys[2], (B, H))
-
-
-@functools.partial(jax.jit, static_argnums=0, static_argnames="adaln_zero")
-def initial(config: PolicyConfig, *, adaln_zero: bool) -> Policy:
-    normaliser = Normaliser.identity(config.obs_dim, config.action_dim)
-    return Policy.init(config, normaliser, jax.random.key(0), adaln_zero=adaln_zero)
+    generator = np.random.default_rng(1)
+    observations, x = generator.standard_normal((B, OBS)), generator.standard_normal((B, H, A))
+    tau = generator.random((B, H))
+    return tuple(jnp.asarray(part, jnp.float32) for part in (observations, x, tau))
 
 
 @jax.jit
@@ -121,7 +114,8 @@ def test_the_table_gives_the_same_velocity(policy, inputs):
     observations, x, _ = inputs
     times = np.array([0.0, 0.2, 1.0])
     rows = jnp.asarray(np.random.default_rng(0).integers(0, 3, (H, B)))
-    fast = policy.velocity(observations).tabulate(times)(jnp.swapaxes(x, 0, 1), rows)
+    field = jax.jit(lambda policy, x, rows: policy.velocity(observations).tabulate(times)(x, rows))
+    fast = field(policy, jnp.swapaxes(x, 0, 1), rows)
     plain = velocity(policy, observations, x, jnp.asarray(times, jnp.float32)[rows].T)
     np.testing.assert_allclose(jnp.swapaxes(fast, 0, 1), plain, atol=2e-5)
 
@@ -129,7 +123,7 @@ def test_the_table_gives_the_same_velocity(policy, inputs):
 @pytest.mark.parametrize("sampler", ["plain", "pinv", "prefix"])
 def test_a_cached_context_changes_no_chunk(policy, inputs, sampler):
     observations, noise, _ = inputs
-    overlap = jax.random.normal(jax.random.key(5), noise.shape)
+    overlap = np.random.default_rng(5).standard_normal(noise.shape, np.float32)
     request = ChunkRequest(ChunkGeometry(H, 2, 2), 4, noise, overlap)
     sample = jax.jit(get_sampler(sampler))
     cached = policy.velocity(observations, observed=policy.observe(observations))
@@ -150,7 +144,7 @@ def test_the_context_and_every_token_matter(policy, inputs):
 def test_bfloat16_is_near_float32(policy, inputs):
     observations, x, tau = inputs
     half = make(bfloat16=1)
-    params = jax.tree.map(lambda a, b: a.astype(b.dtype), policy.params, half.params)
+    params = jax.tree.map(lambda a, b: jnp.asarray(a, b.dtype), policy.params, half.params)
     rounded = Policy(half.config, params, policy.normaliser)
     assert any(leaf.dtype == jnp.bfloat16 for leaf in jax.tree.leaves(params))
     exact, found = velocity(policy, observations, x, tau), velocity(rounded, observations, x, tau)
@@ -160,8 +154,8 @@ def test_bfloat16_is_near_float32(policy, inputs):
 
 
 def test_adaln_zero_starts_as_the_output_layer_of_the_input(inputs):
-    config = PolicyConfig("transformer", tuple(SIZES.items()), H, OBS, A)
-    fresh = initial(config, adaln_zero=True)
+    config = PolicyConfig("transformer", tuple((SIZES | {"layers": 1}).items()), H, OBS, A)
+    fresh = Policy.init(config, Normaliser.identity(OBS, A), jax.random.key(0))
     observations, x, tau = inputs
     first = velocity(fresh, observations, x, tau)
     # All gates are 0: neither the observation, nor flow time, nor another token has a say.

@@ -6,10 +6,10 @@ import functools
 from collections.abc import Iterable
 from pathlib import Path
 
-import jax
+from random_weights import random_policy
 
 from rtc_cli.core.delays import DelayDistribution
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
+from rtc_cli.core.policy import Policy, PolicyConfig
 from rtc_cli.recipe import load_recipe
 from rtc_cli.runs import Run, create_run
 from rtc_cli.tasks import get_task
@@ -24,8 +24,7 @@ def untrained_policy(task: str, horizon: int = 8) -> Policy:
     """A small network with random weights, normalised actions and observations left as they are."""
     scene = get_task(task)
     config = PolicyConfig("mixer", OPTIONS, horizon, scene.obs_dim, scene.action_dim)
-    normaliser = Normaliser.identity(scene.obs_dim, scene.action_dim)
-    return Policy.init(config, normaliser, jax.random.key(0), adaln_zero=False)
+    return random_policy(config)
 
 
 def untrained_run(folder: Path, recipe: str, overrides: Iterable[str], kinds: Iterable[str]) -> Run:

@@ -116,7 +116,7 @@ def cell(
         "scene": hashlib.sha256(task.encode()).hexdigest()[:16],
     }
     columns |= timing
-    return pd.DataFrame(columns)[list(EPISODE_COLUMNS)]
+    return pd.DataFrame({name: columns[name] for name in EPISODE_COLUMNS})
 
 
 def episodes(

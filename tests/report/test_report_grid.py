@@ -13,7 +13,7 @@ import pytest
 from rtc_cli.errors import StateError
 from rtc_cli.pipeline.grid import open_runs
 from rtc_cli.recipe import load_recipe
-from rtc_cli.report.grid.rows import effect_rows, grid_differences, load_grid
+from rtc_cli.report.grid.rows import GridEpisodes, effect_rows, grid_differences, load_grid
 from rtc_cli.report.grid.text import grid_answer
 from rtc_cli.report.page import build_report
 from rtc_cli.report.tables import ALL, pick
@@ -31,14 +31,21 @@ def made_up(experts: int, std: float, noise: float, method: str, delay: int) -> 
     return round(N * 0.9 - lost + won)
 
 
-def grid_run(synthetic: ModuleType, folder: Path, seeds: tuple[int, ...] = (0,)) -> Run:
-    overrides = [f"tasks={','.join(TASKS)}", f"train.seeds={','.join(map(str, seeds))}"]
+def grid_run(
+    synthetic: ModuleType,
+    folder: Path,
+    *,
+    seeds: tuple[int, ...] = (0,),
+    tasks: tuple[str, ...] = TASKS,
+    methods: tuple[str, ...] = ("naive", "pinv", "prefix"),
+) -> Run:
+    overrides = [f"tasks={','.join(tasks)}", f"train.seeds={','.join(map(str, seeds))}"]
     run = create_run(load_recipe("ablations/multimodality", overrides), folder)
     for own in open_runs(run):
         data, store = own.recipe.data, ResultStore(own.results / "episodes")
         assert data.experts is not None
         for task, seed, noise, method, delay in itertools.product(
-            TASKS, seeds, own.recipe.eval.action_noise, synthetic.METHODS, (0, 4)
+            tasks, seeds, own.recipe.eval.action_noise, methods, (0, 4)
         ):
             solved = made_up(data.experts, data.policy_std, noise, method, delay)
             outcome = np.random.default_rng([seed, len(task)]).permutation(N) < solved
@@ -62,25 +69,39 @@ def run(synthetic: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Run:
     return grid_run(synthetic, tmp_path_factory.mktemp("grid") / "run")
 
 
-def recipe_of(run: Run) -> dict[str, Any]:
-    return run.recipe.model_dump(mode="json", exclude_none=True)
+def grid_of(run: Run) -> GridEpisodes:
+    return load_grid(run.folder, run.recipe.model_dump(mode="json", exclude_none=True))
 
 
-def test_every_setting_is_read_with_its_factors(run: Run) -> None:
-    grid = load_grid(run.folder, recipe_of(run))
+@pytest.fixture(scope="module")
+def grid(run: Run) -> GridEpisodes:
+    return grid_of(run)
+
+
+@pytest.fixture(scope="module")
+def gaps(grid: GridEpisodes) -> list[dict[str, Any]]:
+    return grid_differences(grid)
+
+
+@pytest.fixture(scope="module")
+def effects(grid: GridEpisodes) -> list[dict[str, Any]]:
+    return effect_rows(grid)
+
+
+def test_every_setting_is_read_with_its_factors(
+    grid: GridEpisodes, gaps: list[dict[str, Any]]
+) -> None:
     assert list(grid.factors) == ["data.experts", "data.policy_std", "action_noise"]
     assert len(grid.parts) == grid.count == 18
     for settings, rows in grid.parts:
         assert set(rows["action_noise"]) == {settings["action_noise"]}
-    gaps = grid_differences(grid)
     for row in pick(gaps, task="catcher", delay=4, method="prefix", baseline="naive"):
         values = row["data.experts"], row["data.policy_std"], row["action_noise"]
         expected = made_up(*values, "prefix", 4) - made_up(*values, "naive", 4)
         assert row["difference"] == pytest.approx(expected / N)
 
 
-def test_effects_average_over_the_other_factors(run: Run) -> None:
-    effects = effect_rows(load_grid(run.folder, recipe_of(run)))
+def test_effects_average_over_the_other_factors(effects: list[dict[str, Any]]) -> None:
     stds, noises = (0.0, 0.5, 1.0), (0.0, 0.1, 0.2)
 
     def gap(experts: int, std: float, noise: float) -> float:
@@ -103,12 +124,12 @@ def test_effects_average_over_the_other_factors(run: Run) -> None:
     assert naive[0]["low"] < naive[0]["difference"] < naive[0]["high"] < 0
 
 
-def test_intervals_of_one_seed_are_those_of_paired_episodes(run: Run) -> None:
-    grid = load_grid(run.folder, recipe_of(run))
+def test_intervals_of_one_seed_are_those_of_paired_episodes(
+    grid: GridEpisodes, effects: list[dict[str, Any]]
+) -> None:
     row = pick(
-        effect_rows(grid), task="catcher", method="naive", baseline=None, delay=4,
-        factor="action_noise",
-    )[0]  # fmt: skip
+        effects, task="catcher", method="naive", baseline=None, delay=4, factor="action_noise"
+    )[0]
     frames = [
         rows.assign(**settings) for settings, rows in grid.parts if settings["action_noise"] != 0.1
     ]
@@ -122,16 +143,24 @@ def test_intervals_of_one_seed_are_those_of_paired_episodes(run: Run) -> None:
 
 @pytest.mark.usefixtures("two_degrees_will_do")
 def test_several_seeds_are_paired_by_seed(synthetic: ModuleType, tmp_path: Path) -> None:
-    run = grid_run(synthetic, tmp_path / "run", seeds=(0, 1, 2))
-    grid = load_grid(run.folder, recipe_of(run))
+    grid = grid_of(
+        grid_run(
+            synthetic,
+            tmp_path / "run",
+            seeds=(0, 1, 2),
+            tasks=("catcher",),
+            methods=("naive", "prefix"),
+        )
+    )
     rows = [*effect_rows(grid), *grid_differences(grid)]
     assert {row["interval"] for row in rows} == {"seeds"}
     assert {row["seeds"] for row in rows} == {3}
 
 
-def test_sentences_follow_from_the_numbers(run: Run) -> None:
-    grid = load_grid(run.folder, recipe_of(run))
-    gaps, effects, factors = grid_differences(grid), effect_rows(grid), list(grid.factors)
+def test_sentences_follow_from_the_numbers(
+    grid: GridEpisodes, gaps: list[dict[str, Any]], effects: list[dict[str, Any]]
+) -> None:
+    factors = list(grid.factors)
     text = grid_answer(gaps, effects, "fixed:4", factors)
     assert "at d = 0 better in 0 and worse in 0 of 18; at d = 4 better in 18" in text[0]
     assert "from +2.0 points" in text[1]
@@ -165,7 +194,7 @@ def test_the_report_is_built_from_any_side(run: Run) -> None:
 
 
 def test_a_grid_that_is_not_whole_says_so(synthetic: ModuleType, tmp_path: Path) -> None:
-    run = grid_run(synthetic, tmp_path / "run")
+    run = grid_run(synthetic, tmp_path / "run", tasks=("catcher",), methods=("naive", "prefix"))
     for path in (run.folder / "variants" / "experts-4_policy_std-0.5").rglob("*.parquet"):
         path.unlink()
     assert "Only 15 of 18 settings" in build_report(run.folder).markdown.read_text()

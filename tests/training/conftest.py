@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from random_weights import random_policy
 
 from rtc_cli.core.delays import DelayDistribution
 from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
@@ -68,7 +69,7 @@ def policy(windows: Windows) -> Policy:
     """A real policy, as small as possible."""
     sizes = (("layers", 1), ("channels", 8), ("channel_hidden", 8), ("token_hidden", 4))
     normaliser = Normaliser.from_data(windows.observations, windows.actions, windows.valid)
-    return Policy.init(PolicyConfig("mixer", sizes, 4, 3, 2), normaliser, jax.random.key(3))
+    return random_policy(PolicyConfig("mixer", sizes, 4, 3, 2), normaliser)
 
 
 @pytest.fixture

@@ -4,15 +4,19 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+
+HELPERS = Path(__file__).parents[1] / "helpers"
 
 SCRIPT = """
 import json
 import jax, jax.numpy as jnp, numpy as np
 from rtc_cli.core.delays import DelayDistribution
-from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
+from random_weights import random_policy
+from rtc_cli.core.policy import Normaliser, PolicyConfig
 from rtc_cli.data.chunks import ChunkData
 from rtc_cli.recipe import TrainConfig
 from rtc_cli.training import loop
@@ -25,7 +29,7 @@ data = ChunkData(
 )
 sizes = (("layers", 1), ("channels", 8), ("channel_hidden", 8), ("token_hidden", 4))
 normaliser = Normaliser.from_data(data.observations, data.actions, data.valid)
-policy = Policy.init(PolicyConfig("mixer", sizes, 4, 3, 2), normaliser, jax.random.key(3))
+policy = random_policy(PolicyConfig("mixer", sizes, 4, 3, 2), normaliser)
 config = TrainConfig(batch=16, epochs=2, learning_rate=0.01, warmup_steps=3)
 delays = DelayDistribution.exponential((0, 1, 2))
 result = loop.fit(policy, data, config, seed=5, delays=delays)
@@ -59,7 +63,9 @@ print(json.dumps({
 
 def train_with(devices: int) -> dict[str, object]:
     flag = f"--xla_force_host_platform_device_count={devices}"
-    env = os.environ | {"XLA_FLAGS": flag, "JAX_PLATFORMS": "cpu"}
+    path = os.pathsep.join([str(HELPERS), *filter(None, [os.environ.get("PYTHONPATH")])])
+    env = os.environ | {"XLA_FLAGS": flag, "JAX_PLATFORMS": "cpu", "PYTHONPATH": path}
+    env["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # compared within tolerances: see tests/conftest.py
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT],
         env=env, capture_output=True, text=True, check=True,
