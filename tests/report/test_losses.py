@@ -296,7 +296,10 @@ def test_figures_draw(episodes: pd.DataFrame, costs: list[dict[str, Any]]) -> No
     assert labels[-1] == "mean"
     summary = summarise(episodes)
     assert len(seam_rows(summary, "fixed:4")) == 15
-    assert png(main_figure(summary, costs, classes, "fixed:4")).startswith(b"\x89PNG")
+    whole = main_figure(summary, costs, classes, "fixed:4")
+    assert png(whole).startswith(b"\x89PNG")
+    unpushed = [row | {"measured_reaction_ticks": None} for row in summary]
+    assert len(main_figure(unpushed, costs, classes, "fixed:4").axes) == len(whole.axes) - 1
 
 
 def test_sentences_name_the_tasks_against_the_trend(episodes: pd.DataFrame) -> None:

@@ -204,15 +204,20 @@ def main_figure(
     classes: Mapping[str, str],
     protocol: str,
 ) -> "Figure":
-    """Draw the three main panels: success against delay, stacked losses, seam against reaction."""
+    """Draw the main panels: success against delay, stacked losses, seam against reaction.
+
+    The third one is left out where no reaction was measured.
+    """
+    points = [row for row in seam_rows(summary, protocol) if row["method"] in MAIN_METHODS]
     costs = pick(decomposition, protocol=protocol)
     mean = pick(summary, protocol=protocol, task=ALL, train_seed=ALL)
     mean = [row for row in mean if row["method"] in MAIN_METHODS]
     s = protocol.partition(":")[2]
-    figure = new_figure(11.6, 7.2)
+    figure = new_figure(11.6, 7.2 if points else 4.6)
     grid = figure.add_gridspec(1, 2, width_ratios=[1.0, 1.12])
     left, right = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
-    upper, lower = left.subplots(2, 1, height_ratios=[1.15, 1.0])
+    heights = [1.15, 1.0] if points else [1.0]
+    upper, *lower = left.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     tasks = {row["task"] for row in costs} - {ALL}
     what = f"mean of {len(tasks)} tasks" if len(tasks) > 1 else next(iter(tasks), "")
     success_panel(upper, mean, title=f"(a) Success, {what}, s = {s}")
@@ -220,6 +225,6 @@ def main_figure(
     bars = right.subplots()
     losses_panel(bars, costs, classes, delay, title=f"(b) Where success is lost, d = {delay}")
     _part_legend(right)
-    points = [row for row in seam_rows(summary, protocol) if row["method"] in MAIN_METHODS]
-    seam_panel(lower, points, title="(c) Seam and reaction; numbers are delays")
+    for axes in lower:
+        seam_panel(axes, points, title="(c) Seam and reaction; numbers are delays")
     return figure

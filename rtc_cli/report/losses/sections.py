@@ -41,7 +41,7 @@ SEAM_CAPTION = (
 
 
 def glance(results: Results) -> list[Section]:
-    """Show the main figure; nothing where one of its panels would be empty."""
+    """Show the main figure; nothing without costs of delay at a fixed s."""
     protocol = main_protocol(results.decomposition)
     if not protocol.startswith("fixed:"):
         return []
@@ -49,9 +49,12 @@ def glance(results: Results) -> list[Section]:
     figure = loss_figures.main_figure(results.summary, results.decomposition, classes, protocol)
     caption = (
         "(a) Bands: 95% intervals for these checkpoints; the oracle is a reference. (b) "
-        f"{STACKED_CAPTION} (c) {SEAM_CAPTION}"
+        f"{STACKED_CAPTION}"
     )
-    label = "Success against delay, where success is lost, and seam against reaction"
+    label = "Success against delay, and where success is lost"
+    if loss_figures.seam_rows(results.summary, protocol):
+        caption += f" (c) {SEAM_CAPTION}"
+        label = "Success against delay, where success is lost, and seam against reaction"
     return [Section("glance", "At a glance", [Picture("main", label, figure, caption)])]
 
 
