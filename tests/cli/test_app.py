@@ -209,8 +209,10 @@ def test_ctrl_c_while_a_command_runs(tmp_path):
     assert error == "rtc: interrupted; run again to resume\n"
 
 
+# The handler that Python installs in a terminal; programs started in the background ignore Ctrl-C.
 _SLEEPER = """
-import sys, time, types, typer
+import signal, sys, time, types, typer
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from rtc_cli.cli import app as program
 module = types.ModuleType("rtc_cli.cli.report")
 module.app = typer.Typer()
