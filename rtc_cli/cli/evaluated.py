@@ -66,13 +66,15 @@ def select_episodes(
         "episode": range(first, first + config.episodes),
     }
     asked = {column: rows[column].isin(list(values)) for column, values in wanted.items()}
-    asked["timing"] = _timing_asked(rows, timings)
+    reference = rows["protocol"] == OPEN_LOOP
     if "oracle" in config.methods:
         # Without delay, whatever the delays asked for: the losses are measured from there.
-        reference = rows["protocol"] == OPEN_LOOP
-        for free in ("protocol", "delay", "timing"):
+        for free in ("protocol", "delay"):
             asked[free] |= reference
-    return rows[np.logical_and.reduce([*asked.values(), _noise_asked(rows, config, tasks)])]
+    near = rows[np.logical_and.reduce([*asked.values(), _noise_asked(rows, config, tasks)])]
+    # Row by row, so only of the rows that are left.
+    timed = _timing_asked(near, timings)
+    return near[timed | reference[near.index]] if "oracle" in config.methods else near[timed]
 
 
 def _timing_asked(rows: pd.DataFrame, timings: Sequence[Timing]) -> pd.Series[bool]:
