@@ -67,7 +67,7 @@ def test_the_page(all_charged, tmp_path):
     page = paths.markdown.read_text("utf-8")
     assert "Too slow for chunks of 8 actions at this rate: pinv with K = 10." in page
     assert "not possible" in page
-    assert "prefix does best with 5 flow steps" in page
+    assert "prefix does best with K = 5" in page
     assert [path.name for path in paths.figures] == ["charge.png"]
 
 

@@ -48,8 +48,8 @@ def findings(content: Mapping[str, Any]) -> list[str]:
     """What follows, in sentences."""
     rows: list[Row] = content["rows"]
     found = [
-        f"{row['method']} does best with {row['flow_steps']} flow steps: "
-        f"{points(row['success'])}% ({interval(row['success_low'], row['success_high'])}) at "
+        f"{row['method']} does best with K = {row['flow_steps']}: "
+        f"{points(row['success'])}% {interval(row['success_low'], row['success_high'])} at "
         f"{row['latency_ms']:.4g} ms, d = {row['delay']}."
         for row in best_by_method(rows)
     ]
@@ -66,8 +66,9 @@ def charge_figure(content: Mapping[str, Any]) -> "Figure":
     names = list(dict.fromkeys(row["method"] for row in rows))
     figure = new_figure(7.4, 4.2)
     axes = figure.subplots()
-    for name, look in looks(names).items():
+    for number, (name, look) in enumerate(looks(names).items()):
         mine = sorted(pick(rows, method=name), key=lambda row: row["latency_ms"])
+        above = number % 2 == 0  # labels of neighbours keep apart
         at = [row["latency_ms"] for row in mine]
         success = [100 * row["success"] for row in mine]
         axes.plot(at, success, marker=look.marker, linestyle=look.line, color=look.colour)
@@ -75,8 +76,8 @@ def charge_figure(content: Mapping[str, Any]) -> "Figure":
         axes.vlines(at, low, high, color=look.colour, linewidth=1.1, alpha=0.6)
         for row, x, y in zip(mine, at, success, strict=True):
             axes.annotate(
-                f"K={row['flow_steps']}", (x, y), xytext=(0, 7), textcoords="offset points",
-                ha="center", fontsize=8, color=look.colour,
+                f"K={row['flow_steps']}", (x, y), xytext=(0, 7 if above else -14),
+                textcoords="offset points", ha="center", fontsize=8, color=look.colour,
             )  # fmt: skip
         axes.plot([], [], marker=look.marker, linestyle=look.line, color=look.colour, label=name)
     period = 1000 / content["hz"]
@@ -102,11 +103,12 @@ def save_charge_page(folder: Path, content: Mapping[str, Any]) -> ReportPaths:
         "Bars: 95% Wilson intervals of these checkpoints. Dotted: where the next control step of "
         "delay begins.",
     )
-    fixed = " + ".join(f"{name} {ms:g} ms" for name, ms in content["fixed_ms"].items()) or "none"
+    fixed = " + ".join(f"{name} {ms:g} ms" for name, ms in content["fixed_ms"].items())
+    fixed = fixed or "those of the latencies, if any"
     document = Document(
         title="Success at equal hardware",
         subtitle=f"{content['tasks']}; {content['hz']:g} Hz, {content['rounding']}; latencies: "
-        f"{content['profile']}; fixed costs: {fixed}.",
+        f"{content['profile']}; fixed costs added: {fixed}.",
         question="What is each method worth where it pays for its own latency?",
         answer=findings(content),
         sections=[
