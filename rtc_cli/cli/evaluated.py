@@ -66,15 +66,13 @@ def select_episodes(
         "episode": range(first, first + config.episodes),
     }
     asked = {column: rows[column].isin(list(values)) for column, values in wanted.items()}
-    reference = rows["protocol"] == OPEN_LOOP
-    if "oracle" in config.methods:
-        # Without delay, whatever the delays asked for: the losses are measured from there.
-        for free in ("protocol", "delay"):
-            asked[free] |= reference
+    # Without delay, whatever the delays asked for: the oracle's losses are measured from there.
+    reference = (rows["protocol"] == OPEN_LOOP) & ("oracle" in config.methods)
+    for free in ("protocol", "delay"):
+        asked[free] |= reference
     near = rows[np.logical_and.reduce([*asked.values(), _noise_asked(rows, config, tasks)])]
     # Row by row, so only of the rows that are left.
-    timed = _timing_asked(near, timings)
-    return near[timed | reference[near.index]] if "oracle" in config.methods else near[timed]
+    return near[_timing_asked(near, timings) | reference[near.index]]
 
 
 def _timing_asked(rows: pd.DataFrame, timings: Sequence[Timing]) -> pd.Series[bool]:
@@ -84,7 +82,7 @@ def _timing_asked(rows: pd.DataFrame, timings: Sequence[Timing]) -> pd.Series[bo
     names = list(timings[0].columns)
     asked = {tuple(timing.columns.values()) for timing in timings}
     found = zip(*(rows[name] for name in names), strict=True)
-    return pd.Series([row in asked for row in found], rows.index)
+    return pd.Series([row in asked for row in found], rows.index, dtype=bool)
 
 
 def _noise_asked(rows: pd.DataFrame, config: EvalConfig, tasks: tuple[str, ...]) -> pd.Series[bool]:

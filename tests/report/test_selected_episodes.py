@@ -55,3 +55,12 @@ def test_an_evaluation_shows_the_delays_that_it_asked_for(synthetic, overrides, 
     assert set(rows["delay_model"]) == models
     assert set(rows["estimator"]) <= {"exact"}
     assert len(rows) == 8 * len(models)
+
+
+def test_an_evaluation_that_the_run_does_not_hold_has_no_rows(synthetic, tmp_path):
+    run = create_run(load_recipe("quickstart", ["eval.episodes=8"]), tmp_path / "run")
+    frame = synthetic.cell("naive", "cartpole_thrust", 0, "paper", 2, 2, [True] * 8)
+    ResultStore(run.results / "episodes").append(frame["cell"].iloc[0], frame)
+    rows = selected_episodes(run, run.recipe.eval, run.recipe.tasks, (7,))
+    assert rows.empty
+    assert {"task", "delay", "solved"} <= set(rows.columns)

@@ -198,6 +198,11 @@ def seam_panel(axes: "Axes", rows: Sequence[Row], title: str = "") -> None:
 # -- main figure -----------------------------------------------------------------------------
 
 
+def main_seam_rows(summary: Sequence[Row], protocol: str) -> list[Row]:
+    """Return the rows of `seam_rows` that the main figure shows."""
+    return [row for row in seam_rows(summary, protocol) if row["method"] in MAIN_METHODS]
+
+
 def main_figure(
     summary: Sequence[Row],
     decomposition: Sequence[Row],
@@ -208,7 +213,7 @@ def main_figure(
 
     The third one is left out where no reaction was measured.
     """
-    points = [row for row in seam_rows(summary, protocol) if row["method"] in MAIN_METHODS]
+    points = main_seam_rows(summary, protocol)
     costs = pick(decomposition, protocol=protocol)
     mean = pick(summary, protocol=protocol, task=ALL, train_seed=ALL)
     mean = [row for row in mean if row["method"] in MAIN_METHODS]

@@ -52,7 +52,7 @@ def glance(results: Results) -> list[Section]:
         f"{STACKED_CAPTION}"
     )
     label = "Success against delay, and where success is lost"
-    if loss_figures.seam_rows(results.summary, protocol):
+    if loss_figures.main_seam_rows(results.summary, protocol):
         caption += f" (c) {SEAM_CAPTION}"
         label = "Success against delay, where success is lost, and seam against reaction"
     return [Section("glance", "At a glance", [Picture("main", label, figure, caption)])]
