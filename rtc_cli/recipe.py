@@ -37,6 +37,7 @@ Count = Annotated[int, Field(ge=0)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Measured = Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
 
 
 def _read_delays(value: Any) -> Any:
@@ -225,6 +226,19 @@ class TuneConfig(Section):
     first_episode: Annotated[int, Field(ge=500_000, lt=900_000)] = 500_000
 
 
+class ChargeConfig(Section):
+    """Latencies at which every method, with each number of flow steps, is evaluated once more.
+
+    `profile` is the name of published latencies or a file (see `analysis.charge`); `fixed_ms` is
+    added, in milliseconds by name, a list where it was measured; `hz` is the control rate.
+    """
+
+    profile: str
+    fixed_ms: dict[str, NonNegativeFloat | Measured] = {}
+    hz: PositiveFloat = 30.0
+    rounding: Rounding = "ceil"
+
+
 class EvalConfig(Section):
     """Which cells are evaluated; `episodes` is per training seed and cell.
 
@@ -234,7 +248,8 @@ class EvalConfig(Section):
 
     `delay_models` take the place of `delays` where they are given: delays that vary from one
     inference to the next, none longer than `delay_cap` (horizon - 1 without it). Every delay or
-    model is evaluated with each of `estimators`, which say what the sampler is told.
+    model is evaluated with each of `estimators`, which say what the sampler is told. `charge` adds
+    an evaluation at equal hardware.
     """
 
     delays: Delays = (0, 1, 2, 3, 4)
@@ -256,6 +271,7 @@ class EvalConfig(Section):
     observation_lag: Count = 0
     pinv: PinvConfig = PinvConfig()
     tune: TuneConfig | None = None
+    charge: ChargeConfig | None = None
 
     _check_delays = field_validator("delays")(_ascending)
     _check_methods = field_validator("methods")(_unique)
@@ -447,6 +463,7 @@ _LATER_EVAL_KEYS = (
     "on_late",
     "on_exceed",
     "observation_lag",
+    "charge",
 )
 
 

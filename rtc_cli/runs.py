@@ -3,7 +3,7 @@
     recipe.toml    the resolved recipe
     manifest.json  versions, device, git commit, recipe hash
     experts/<task>/<seed>/  data/<task>/seed-<k>/  checkpoints/<task>/seed-<k>/<base|fork|prefix>/
-    results/       episodes/*.parquet, training/*.json, profile.json
+    results/       episodes/*.parquet, training/*.json, profile.json, charge.json
     report/
     traces/        latencies that policies were evaluated under
     variants/<combination>/  runs of an ablation's grid, on these experts

@@ -19,15 +19,19 @@ from numpy.typing import ArrayLike, NDArray
 from rtc_cli.autocorrelation import block_length, ranks
 from rtc_cli.errors import StateError, UsageError, did_you_mean
 from rtc_cli.files import os_error
+from rtc_cli.fixed_costs import Cost, FixedCosts, check_costs, say_costs
 from rtc_cli.units import Rounding, latency_to_delay
 
 Unit = Literal["ms", "s"]
 UNITS: tuple[str, ...] = get_args(Unit)
+ENDINGS = (".csv", ".tsv", ".txt", ".json", ".parquet")
+"""Of the files that a trace is read from."""
 
 _MS_PER = {"ms": 1.0, "s": 1000.0}
 _NAMELESS = "latency"  # the column of a JSON list of numbers
 _LATE_PERCENTILE = 95
 _TOO_SHORT_MS, _TOO_LONG_S = 1.0, 10.0
+_COST_SEED = 0x636F7374  # "cost"
 _CHOICES = ("sampler", "batch", "flow_steps")  # what tells the rows of a profile apart
 
 Cells = dict[str, list[Any]]
@@ -90,7 +94,7 @@ def read_trace(
     *,
     columns: Sequence[str] = (),
     unit: Unit | None = None,
-    fixed_ms: Mapping[str, float] | None = None,
+    fixed_ms: FixedCosts | None = None,
     sampler: str | None = None,
     batch: int | None = None,
     flow_steps: int | None = None,
@@ -99,15 +103,13 @@ def read_trace(
 
     `columns` that add up; may be left out where the file has one. Units come from the ends of the
     columns' names (`_ms`, `_s`) or from `unit`. JSON: a list of numbers, a list of objects, or an
-    object of lists. `fixed_ms`, constants by name, are added to every row, as are those that a
-    profile was made with. `sampler`, `batch` and `flow_steps` choose a row of a profile. Rows are
-    numbered from 1, below the header. Raises UsageError for what was asked, StateError for what
-    the file holds.
+    object of lists. `fixed_ms` are added to every row, as are those that a profile was made with;
+    measured ones are drawn in blocks, always alike. `sampler`, `batch` and `flow_steps` choose a
+    row of a profile. Rows are numbered from 1, below the header. Raises UsageError for what was
+    asked, StateError for what the file holds.
     """
     path = Path(path)
-    for name, value in (fixed_ms or {}).items():
-        if not math.isfinite(value) or value < 0:
-            raise UsageError(f"{name} {value} ms is not possible", "give a number >= 0")
+    fixed = check_costs(fixed_ms or {})
     content = _read(path)
     chosen = {"sampler": sampler, "batch": batch, "flow_steps": flow_steps}
     wanted = {key: value for key, value in chosen.items() if value is not None}
@@ -122,7 +124,7 @@ def read_trace(
         )
     else:
         trace = _from_columns(path, content, columns, unit)
-    return _add_fixed(trace, fixed_ms or {})
+    return _add_fixed(trace, fixed)
 
 
 def resample_blocks(
@@ -165,21 +167,15 @@ def default_block(trace: LatencyTrace) -> float:
 
 def _read(path: Path) -> Any:
     """Return a file's columns, or what a JSON file holds."""
-    readers = {
-        ".csv": _read_text,
-        ".tsv": _read_text,
-        ".txt": _read_text,
-        ".json": _read_json,
-        ".parquet": _read_parquet,
-    }
     suffix = path.suffix.lower()
-    if suffix not in readers:
+    if suffix not in ENDINGS:
         shown = f'"{suffix}" is no ending' if suffix else "there is no ending"
         raise UsageError(
-            f"{path}: {shown} of a trace", f"give a file that ends in {', '.join(readers)}"
+            f"{path}: {shown} of a trace", f"give a file that ends in {', '.join(ENDINGS)}"
         )
+    readers = {".json": _read_json, ".parquet": _read_parquet}
     try:
-        return readers[suffix](path)
+        return readers.get(suffix, _read_text)(path)
     except OSError as error:
         raise os_error(error, path) from error
     except UnicodeDecodeError as error:
@@ -352,7 +348,7 @@ def _check(total_ms: NDArray[np.float64], unit: str) -> tuple[str, ...]:
     return ()
 
 
-def _add_fixed(trace: LatencyTrace, fixed_ms: Mapping[str, float]) -> LatencyTrace:
+def _add_fixed(trace: LatencyTrace, fixed_ms: FixedCosts) -> LatencyTrace:
     for name in fixed_ms:
         if name in trace.components_ms:
             raise UsageError(
@@ -361,14 +357,22 @@ def _add_fixed(trace: LatencyTrace, fixed_ms: Mapping[str, float]) -> LatencyTra
             )
     if not fixed_ms:
         return trace
-    added = {name: np.full(len(trace), float(value)) for name, value in fixed_ms.items()}
-    shown = ", ".join(f"{name} {value:g} ms" for name, value in fixed_ms.items())
+    added = {name: _per_row(name, cost, len(trace)) for name, cost in fixed_ms.items()}
     return replace(
         trace,
-        total_ms=trace.total_ms + sum(fixed_ms.values()),
+        total_ms=np.sum([trace.total_ms, *added.values()], axis=0),
         components_ms={**trace.components_ms, **added},
-        source=f"{trace.source}, plus {shown}",
+        source=f"{trace.source}, plus {say_costs(fixed_ms)}",
     )
+
+
+def _per_row(name: str, cost: Cost, rows: int) -> NDArray[np.float64]:
+    """One value per row; measured ones are drawn in blocks, by a generator of the cost's name."""
+    if not isinstance(cost, tuple):
+        return np.full(rows, cost)
+    values = np.array(cost)
+    generator = np.random.default_rng([_COST_SEED, *name.encode()])
+    return resample_blocks(LatencyTrace(values, {name: values}, name, "ms"), rows, generator)
 
 
 def _plural(noun: str, names: Sequence[str]) -> str:
@@ -409,7 +413,7 @@ def _from_profile(
         machine=machine if isinstance(machine, Mapping) else None,
         flow_steps=row.get("flow_steps"),
     )
-    return _add_fixed(trace, row.get("fixed_ms") or {})
+    return _add_fixed(trace, check_costs(row.get("fixed_ms") or {}, f"{path}, fixed_ms"))
 
 
 def _choose_row(

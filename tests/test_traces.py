@@ -131,6 +131,17 @@ def test_what_a_profile_was_made_with_is_added_once(tmp_path):
         read_trace(path, fixed_ms={"vision": 18.0})
 
 
+def test_a_measured_cost_is_drawn_for_every_row(tmp_path):
+    path = write(tmp_path / "a.csv", "a_ms\n" + "90\n" * 4000)
+    network = tuple(float(value) for value in range(10))
+    trace = read_trace(path, fixed_ms={"network": network})
+    drawn = trace.total_ms - 90
+    assert set(drawn) == set(network)
+    assert drawn.mean() == pytest.approx(np.mean(network), abs=0.3)
+    assert np.array_equal(drawn, read_trace(path, fixed_ms={"network": network}).total_ms - 90)
+    assert "plus network 4.5 ms (median of 10)" in trace.source
+
+
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -174,7 +185,7 @@ BAD = [
     ("a.csv", "a_ms\n1\n2\n", {"columns": ["b_ms"]}, UsageError, ['no column "b_ms"', '"a_ms"']),
     ("a.csv", "a_ms,b_ms\n1,2\n2,3\n", {}, UsageError, ["2 columns: a_ms, b_ms", "--column"]),
     ("a.csv", "a_ms\n1\n2\n", {"unit": "s"}, UsageError, ["a_ms", "says ms", "given is s"]),
-    ("a.csv", "a_ms\n1\n2\n", {"fixed_ms": {"net": -1.0}}, UsageError, ["net -1.0 ms"]),
+    ("a.csv", "a_ms\n1\n2\n", {"fixed_ms": {"net": -1.0}}, UsageError, ["net is -1.0 ms"]),
     ("a.csv", "a_ms\n1\n2\n", {"sampler": "plain"}, UsageError, ["is a trace", "--column"]),
     ("a.csv", b"a_ms\n\xff\n", {}, StateError, ["byte 5", "UTF-8"]),
     ("a.xyz", "a_ms\n1\n2\n", {}, UsageError, ['".xyz"', ".parquet"]),

@@ -13,9 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rtc_cli.errors import StateError, UsageError
+from rtc_cli.errors import StateError, UsageError, did_you_mean
 from rtc_cli.files import read_json
+from rtc_cli.fixed_costs import FixedCosts, check_costs, percentile_with, say_cost
+from rtc_cli.recipe import recipes_folder
 from rtc_cli.units import Rounding, latency_to_delay
+
+_SHIPPED = "latencies"
 
 
 @dataclass(frozen=True)
@@ -28,20 +32,40 @@ class Charge:
     delay: int
 
 
+def list_latencies() -> tuple[str, ...]:
+    """Return the names of the published latencies that are shipped."""
+    return tuple(sorted(file.stem for file in (recipes_folder() / _SHIPPED).glob("*.json")))
+
+
+def find_latencies(name_or_path: str) -> Path:
+    """Return the file of a shipped name or a path; UsageError with the nearest name."""
+    if name_or_path in list_latencies():
+        return recipes_folder() / _SHIPPED / f"{name_or_path}.json"
+    path = Path(name_or_path)
+    if not path.is_file():
+        raise UsageError(
+            f'no latencies "{name_or_path}".{did_you_mean(name_or_path, list_latencies())}',
+            f"give a profile's JSON file, or one of these: {', '.join(list_latencies())}",
+        )
+    return path
+
+
 def read_charges(
     path: Path,
     samplers: Mapping[str, str],
     *,
-    fixed_ms: Mapping[str, float],
+    fixed_ms: FixedCosts,
     hz: float,
     rounding: Rounding = "ceil",
 ) -> list[Charge]:
     """Charge methods (name -> sampler) with a profile's latencies, for every K that it holds.
 
     The file is the document of `rtc profile --json`, or one written by hand: `rows` with `sampler`,
-    `flow_steps` and `p95_ms`, and `batch` (1) and `fixed_ms` (by name) where it has them. Fixed
-    costs of the file and those given here are added; a name in both is refused. UsageError for
-    rows that cannot be used and for a sampler that the file does not have.
+    `flow_steps` and `p95_ms`, and `batch` (1), `fixed_ms` (by name) and `samples_ms` where it has
+    them. Fixed costs of the file and those given here are added; a name in both is refused. What
+    is charged is the 95th percentile of the whole; where a fixed cost was measured too, that of
+    the sum, and without `samples_ms` the network counts with its `p95_ms`. UsageError for rows
+    that cannot be used and for a sampler that the file does not have.
     """
     rows = _rows(path)
     charges = []
@@ -90,15 +114,18 @@ def _check(path: Path, number: int, row: Any) -> None:
         )
 
 
-def _latency(path: Path, row: Mapping[str, Any], fixed_ms: Mapping[str, float]) -> float:
-    own: Mapping[str, float] = row.get("fixed_ms") or {}
+def _latency(path: Path, row: Mapping[str, Any], fixed_ms: FixedCosts) -> float:
+    own = check_costs(row.get("fixed_ms") or {}, f"{path}, fixed_ms")
     both = [name for name in fixed_ms if name in own]
     if both:
         raise UsageError(
-            f'the fixed cost "{both[0]}" is in {path} already ({own[both[0]]:g} ms)',
+            f'the fixed cost "{both[0]}" is in {path} already ({say_cost(own[both[0]])})',
             "leave it away, or give it another name",
         )
-    return float(row["p95_ms"] + sum(own.values()) + sum(fixed_ms.values()))
+    costs = {**own, **fixed_ms}
+    measured = any(isinstance(cost, tuple) for cost in costs.values())
+    samples = (row.get("samples_ms") if measured else None) or [row["p95_ms"]]
+    return percentile_with(samples, costs, 95)
 
 
 def _repeated(pairs: Iterable[tuple[str, int]]) -> tuple[str, int] | None:

@@ -32,6 +32,7 @@ from rtc_cli.core.geometry import ChunkGeometry
 from rtc_cli.core.policy import Policy
 from rtc_cli.errors import UsageError
 from rtc_cli.files import write_json
+from rtc_cli.fixed_costs import FixedCosts, check_costs, percentile_with
 from rtc_cli.samplers import ChunkRequest, Sampler, get_sampler
 from rtc_cli.units import Rounding, latency_to_delay
 
@@ -73,22 +74,16 @@ class Program:
 class Clock:
     """What turns milliseconds into a delay.
 
-    `fixed_ms` are costs around the network by name (vision encoder, prefill, network round trip).
+    `fixed_ms` are the costs around the network (see `fixed_costs`).
     """
 
     hz: float = 30.0
     rounding: Rounding = "ceil"
-    fixed_ms: Mapping[str, float] = field(default_factory=dict)
+    fixed_ms: FixedCosts = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         latency_to_delay(0.0, self.hz, self.rounding)  # refuses a bad rate
-        for name, value in self.fixed_ms.items():
-            if not (math.isfinite(value) and value >= 0):
-                raise UsageError(f"fixed cost {name} = {value} ms", "give a number >= 0")
-
-    @property
-    def total_fixed_ms(self) -> float:
-        return sum(self.fixed_ms.values())
+        check_costs(self.fixed_ms)
 
 
 def profile_samplers(
@@ -358,15 +353,14 @@ def _floor(samples: np.ndarray, needs: Needs, ceilings: Ceilings) -> dict[str, f
 
 def _delays(samples: np.ndarray, horizon: int, clock: Clock) -> dict[str, Any]:
     """The chunk's latency with what is around it, and what follows at the control rate."""
-    fixed = clock.total_fixed_ms
-    total = float(np.percentile(samples, 95)) + fixed
+    total = percentile_with(samples, clock.fixed_ms, 95)
     delay = latency_to_delay(total, clock.hz, clock.rounding)
     return {
         "hz": clock.hz,
         "rounding": clock.rounding,
         "delay_from": DELAY_FROM,
         "fixed_ms": dict(clock.fixed_ms),
-        "total_p50_ms": float(np.median(samples)) + fixed,
+        "total_p50_ms": percentile_with(samples, clock.fixed_ms, 50),
         "total_p95_ms": total,
         "delay_at_hz": delay,
         **{f"delay_{name}": latency_to_delay(total, clock.hz, name) for name in get_args(Rounding)},

@@ -133,6 +133,14 @@ def evaluate(
             "flow_steps": flow_steps,
             "hold": hold,
             "matrix": matrix or (None if methods is None else False),
+            "charge": None
+            if charge is None
+            else {
+                "profile": charge,
+                "fixed_ms": read_fixed_ms(fixed_ms),
+                "hz": hz,
+                "rounding": rounding,
+            },
         }
         guidance = {
             "mask": mask,
@@ -144,14 +152,7 @@ def evaluate(
             from rtc_cli.cli.charged import evaluate_charged, render_charged
             from rtc_cli.results import machine_record
 
-            content = evaluate_charged(
-                asked,
-                charge,
-                fixed_ms=read_fixed_ms(fixed_ms),
-                hz=hz,
-                rounding=rounding,
-                workers=workers,
-            )
+            content = evaluate_charged(asked, workers)
             if save is not None:
                 from rtc_cli.report.charge.page import save_charge_page
 

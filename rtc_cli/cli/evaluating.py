@@ -91,6 +91,8 @@ def _changed(
     content["eval"]["pinv"] |= {n: value for n, value in guidance.items() if value is not None}
     if changes.get("methods") is not None:
         content["eval"].pop("tune", None)
+    if changes.get("charge") is None:
+        content["eval"].pop("charge", None)  # belongs to `rtc run`
     if not content["eval"]["delay_models"] and changes.get("delay_cap") is None:
         content["eval"].pop("delay_cap", None)
     return recipe_from_dict(content, "options", fix="change that option").eval

@@ -3,12 +3,15 @@
 import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.units import Rounding
+
+if TYPE_CHECKING:
+    from rtc_cli.fixed_costs import Cost
 
 
 def complete_recipe(incomplete: str) -> list[str]:
@@ -176,12 +179,12 @@ ObservationLagOption = Annotated[
     ),
 ]
 ChargeOption = Annotated[
-    Path | None,
+    str | None,
     typer.Option(
         "--charge",
         metavar="PROFILE",
         help="Each method, with each number of flow steps of this profile (JSON), at the delay of "
-        "its own latency.",
+        "its own latency; or with published latencies: rtx-4090.",
     ),
 ]
 SaveOption = Annotated[
@@ -239,7 +242,7 @@ FixedMsOption = Annotated[
         "--fixed-ms",
         metavar="LIST",
         help="Milliseconds of what is around the network, added to the total: 62, or "
-        "vision=18,prefill=44.",
+        "vision=18,prefill=44, or a trace of measured ones, network=FILE.",
     ),
 ]
 HzOption = Annotated[
@@ -274,20 +277,44 @@ def read_names(text: str, allowed: Iterable[str], what: str) -> tuple[str, ...]:
     return check_names(split_names(text), allowed, what)
 
 
-def read_fixed_ms(text: str) -> dict[str, float]:
-    """Read "62" or "vision=18,prefill=44" into milliseconds by name."""
-    fixed: dict[str, float] = {}
+def read_fixed_ms(text: str) -> dict[str, "Cost"]:
+    """Read "62", "vision=18,prefill=44" or "network=trace.csv" into milliseconds by name."""
+    fixed: dict[str, Cost] = {}
     for part in filter(None, (piece.strip() for piece in text.split(","))):
         name, _, value = part.rpartition("=")
-        try:
-            milliseconds = float(value)
-        except ValueError:
-            milliseconds = math.nan
-        if not (math.isfinite(milliseconds) and milliseconds >= 0):
-            raise UsageError(
-                f'cannot read the fixed cost "{part}"',
-                'write milliseconds >= 0, as in "62" or "vision=18,prefill=44"',
-            )
         label = name.strip() or "fixed"
-        fixed[label] = fixed.get(label, 0.0) + milliseconds
+        if label in fixed:
+            raise UsageError(
+                f'the fixed cost "{label}" is given twice', "add the two up, or name them apart"
+            )
+        fixed[label] = _read_cost(part, value.strip())
     return fixed
+
+
+def _read_cost(part: str, value: str) -> "Cost":
+    from rtc_cli.traces import ENDINGS
+
+    if Path(value).suffix.lower() in ENDINGS:
+        return _read_measured(Path(value))
+    try:
+        milliseconds = float(value)
+    except ValueError:
+        milliseconds = math.nan
+    if not (math.isfinite(milliseconds) and milliseconds >= 0):
+        raise UsageError(
+            f'cannot read the fixed cost "{part}"',
+            'write milliseconds >= 0, as in "62" or "vision=18,prefill=44", or the file of a '
+            'trace, as in "network=trace.csv"',
+        )
+    return milliseconds
+
+
+def _read_measured(path: Path) -> "Cost":
+    """Read a trace of one column, in ms or s by the column's name."""
+    from rtc_cli.traces import read_trace
+
+    try:
+        return tuple(read_trace(path).total_ms.tolist())
+    except UsageError as error:
+        hint = f"give a file of one column whose name ends in _ms or _s ({error.hint})"
+        raise UsageError(error.message, hint) from None

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from rtc_cli.core.policy import Policy
+    from rtc_cli.fixed_costs import Cost
     from rtc_cli.runs import Run
 
 app = typer.Typer(rich_markup_mode=None)
@@ -211,7 +212,7 @@ class _Settings:
     rounds: int
     hz: float
     rounding: Rounding
-    fixed_ms: dict[str, float]
+    fixed_ms: dict[str, "Cost"]
 
 
 def _read_integers(text: str, what: str, largest: int) -> list[int]:
@@ -308,16 +309,20 @@ def _warnings(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _times_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
     first = rows[0]
+    # A minute in milliseconds would not fit beside the rest on 80 columns.
+    slow = max(row["p99_ms"] for row in rows) >= 1e4
+    unit, size = ("Seconds", 1000) if slow else ("Milliseconds", 1)
     table = number_table(
-        f"Milliseconds per call: {first['network']}, batch {first['batch']}, "
-        f"horizon {first['horizon']}, {first['flow_steps']} flow steps",
-        ("sampler", "p50", "p95", "p99", "/step", "x plain (95%)", f"d at {first['hz']:g} Hz"),
+        f"{unit} per call: {first['network']}, batch {first['batch']}, horizon "
+        f"{first['horizon']}, {first['flow_steps']} flow steps; d at {first['hz']:g} Hz",
+        ("sampler", "p50", "p95", "p99", "step", "x plain (95%)", "d"),
     )
     for row in rows:
         ratio = f"{row['ratio_to_plain']:.2f} [{row['ratio_low']:.2f}, {row['ratio_high']:.2f}]"
+        times = (row[key] / size for key in ("p50_ms", "p95_ms", "p99_ms", "per_step_ms"))
         table.add_row(
             row["sampler"],
-            *(three_digits(row[key]) for key in ("p50_ms", "p95_ms", "p99_ms", "per_step_ms")),
+            *map(three_digits, times),
             "1" if row["sampler"] == "plain" else ratio,
             str(row["delay_at_hz"]),
         )
@@ -345,12 +350,14 @@ def _programs_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
 
 
 def _meaning_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
+    from rtc_cli.fixed_costs import check_costs, say_costs
+
     first = rows[0]
-    fixed = sum(first["fixed_ms"].values())
-    title = f"What it means at {first['hz']:g} Hz, {fixed:g} ms of fixed costs added"
+    fixed = say_costs(check_costs(first["fixed_ms"])) or "none"
+    title = f"What it means at {first['hz']:g} Hz; fixed costs: {fixed}"
     rates = [d for d in ("1", "2", "4") if d in first["highest_hz"]]
     table = number_table(
-        title, ("sampler", "p95 ms", "d", "of chunk", *(f"Hz, d = {d}" for d in rates))
+        title, ("sampler", "p95 ms", "d", "of chunk", *(f"Hz, d={d}" for d in rates))
     )
     for row in rows:
         table.add_row(

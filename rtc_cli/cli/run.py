@@ -39,6 +39,7 @@ def run(
     Everything that the run already holds is kept: call it again with --resume, or with the same
     --run folder, to go on after an interruption. Without RECIPE: the run's own, or quickstart.
     """
+    from rtc_cli.cli.charged import render_charged, save_charged
     from rtc_cli.cli.evaluated import evaluation_document, evaluation_tables, selected_episodes
     from rtc_cli.pipeline.plan import profile_plan, run_plan
     from rtc_cli.report.page import build_report
@@ -50,13 +51,15 @@ def run(
         with opened.lock():
             run_jobs(opened, run_plan(opened), workers)
             run_alone(profile_plan(opened))
+            charged = save_charged(opened)
             page = build_report(opened.folder).html
         recipe_ = opened.recipe
         results = compute(
             selected_episodes(opened, recipe_.eval, recipe_.tasks, recipe_.train.seeds)
         )
         out.result(
-            evaluation_document(opened, results) | {"report": str(page)},
+            evaluation_document(opened, results) | {"charge": charged, "report": str(page)},
             *evaluation_tables(results),
+            *([] if charged is None else render_charged(charged)),
             f"report: {page}",
         )

@@ -1,18 +1,16 @@
-"""Evaluations at equal hardware: one small evaluation per charge, in one plan."""
+"""Evaluations at equal hardware: one small evaluation per charge."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rtc_cli.analysis.charge import Charge
+from rtc_cli.analysis.charge import Charge, find_latencies, read_charges
 from rtc_cli.errors import UsageError
-from rtc_cli.pipeline.executors import Job
-from rtc_cli.pipeline.plan import eval_plan
+from rtc_cli.fixed_costs import check_costs
+from rtc_cli.pipeline.evaluation import methods_of
 from rtc_cli.recipe import EvalConfig
-from rtc_cli.runs import Run
 
 
 @dataclass(frozen=True)
@@ -22,6 +20,26 @@ class Charged:
     charge: Charge
     config: EvalConfig | None
     reason: str = ""
+
+
+def charged_by(config: EvalConfig, horizon: int) -> list[Charged]:
+    """Return what `[eval.charge]` asks for; nothing without it.
+
+    UsageError for latencies that cannot be read or lack a method's sampler. The oracle and tuned
+    settings have no part in it.
+    """
+    charge = config.charge
+    if charge is None:
+        return []
+    samplers = {m.name: m.sampler for m in methods_of(config) if m.schedule != "oracle"}
+    charges = read_charges(
+        find_latencies(charge.profile),
+        samplers,
+        fixed_ms=check_costs(charge.fixed_ms),
+        hz=charge.hz,
+        rounding=charge.rounding,
+    )
+    return charged_evaluations(config, horizon, charges)
 
 
 def charged_evaluations(
@@ -50,20 +68,7 @@ def charged_evaluations(
             "delay_cap": None,
             "matrix": False,
             "tune": None,
+            "charge": None,
         }
         found.append(Charged(charge, config.model_copy(update=changes)))
     return found
-
-
-def charged_plan(
-    run: Run, charged: Sequence[Charged], tasks: Sequence[str], seeds: Sequence[int]
-) -> list[Job]:
-    """The jobs of all evaluations that are possible; cells that the run holds are not repeated."""
-    jobs = []
-    for each in charged:
-        if each.config is None:
-            continue
-        label = f"K = {each.charge.flow_steps}, d = {each.charge.delay}"
-        for job in eval_plan(run, each.config, tasks, seeds):
-            jobs.append(dataclasses.replace(job, name=f"{job.name} · {label}"))
-    return jobs

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rtc_cli.errors import UsageError, did_you_mean
+from rtc_cli.pipeline.charging import charged_by
 from rtc_cli.pipeline.evaluation import TUNED, cells_of, methods_of, tuning_cells
 from rtc_cli.pipeline.grid import combinations
 from rtc_cli.recipe import EvalConfig, Recipe
@@ -35,3 +36,4 @@ def check_evaluation(config: EvalConfig, horizon: int) -> None:
     cells_of(config, horizon, methods)
     if config.tune is not None:
         tuning_cells(config.tune, horizon)
+    charged_by(config, horizon)

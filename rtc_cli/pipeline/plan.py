@@ -6,6 +6,7 @@ belong to a task, data and the fork to a training seed.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import chain, product
@@ -13,6 +14,7 @@ from itertools import chain, product
 from rtc_cli.execution.methods import METHODS, Method
 from rtc_cli.levels import short_name
 from rtc_cli.pipeline import evaluation, profiling, stages
+from rtc_cli.pipeline.charging import Charged, charged_by
 from rtc_cli.pipeline.executors import Job
 from rtc_cli.recipe import EvalConfig
 from rtc_cli.runs import Run
@@ -44,6 +46,7 @@ def seed_plan(run: Run, seed: int) -> list[Job]:
         *_training(run, seed),
         *(_diversity(run, seed) if first else ()),
         *eval_plan(run, recipe.eval, recipe.tasks, (seed,)),
+        *charged_plan(run, charged_by(recipe.eval, recipe.horizon), recipe.tasks, (seed,)),
         *(_tuning(run) if first else ()),
     ]
 
@@ -110,6 +113,25 @@ def eval_plan(
         if tuned:
             work = partial(evaluation.evaluate_tuned, target, config)
             jobs.append(_evaluation(task, seed, METHODS["pinv"], work, tuned=True))
+    return jobs
+
+
+def charged_plan(
+    run: Run, charged: Sequence[Charged], tasks: Sequence[str], seeds: Sequence[int]
+) -> list[Job]:
+    """Return the jobs of all evaluations at equal hardware that are possible.
+
+    Each comes after the method's usual evaluation, if that is in the same plan: they may share
+    a cell, which is then computed once.
+    """
+    jobs = []
+    for each in charged:
+        if each.config is None:
+            continue
+        label = f"K = {each.charge.flow_steps}, d = {each.charge.delay}"
+        for job in eval_plan(run, each.config, tasks, seeds):
+            needs = (*job.needs, job.name)
+            jobs.append(dataclasses.replace(job, name=f"{job.name} · {label}", needs=needs))
     return jobs
 
 

@@ -15,6 +15,7 @@ from rtc_cli.results import ResultStore
 
 EPISODES = Path("results") / "episodes"
 PROFILE = Path("results") / "profile.json"
+CHARGE = Path("results") / "charge.json"
 TRAINING = Path("results") / "training"
 DIVERSITY = Path("results") / "diversity"
 
@@ -33,6 +34,7 @@ class RunInputs:
     episodes: pd.DataFrame
     variants: pd.DataFrame
     profile: Mapping[str, Any]
+    charge: Mapping[str, Any]
     training: list[dict[str, Any]]
     experts: list[dict[str, Any]]
     diversity: list[dict[str, Any]]
@@ -62,6 +64,7 @@ def load_run(run_folder: Path | str) -> RunInputs:
         episodes=load_episodes(folder),
         variants=load_variants(folder),
         profile=_read_json(folder / PROFILE) or {},
+        charge=_read_json(folder / CHARGE) or {},
         training=_read_all(folder / TRAINING, "*.json", {"task", "epochs", "loss"}),
         experts=_read_all(folder / "experts", "**/*.json", {"task", "seed", "success"}),
         diversity=load_diversity(folder),

@@ -8,6 +8,7 @@ import pandas as pd
 from rtc_cli.errors import StateError
 from rtc_cli.levels import task_label
 from rtc_cli.report import figures, sections
+from rtc_cli.report.charge.page import charge_section
 from rtc_cli.report.document import (
     Block,
     Code,
@@ -70,6 +71,7 @@ def build_report(run_folder: Path | str) -> ReportPaths:
             sections.matrix(results),
             sections.smoothness(results, loss_sections.seam(results)),
             sections.profile(run),
+            *([charge_section(run.charge)] if run.charge else []),
             sections.training(run),
             sections.experts(run),
             sections.provenance(run),

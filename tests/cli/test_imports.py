@@ -12,7 +12,16 @@ from rtc_cli.cli.app import COMMANDS
 
 PACKAGE = Path(rtc_cli.__file__).parent
 
-LEAVES = {"errors", "units", "files", "intervals", "levels", "autocorrelation", "traces"}
+LEAVES = {
+    "errors",
+    "units",
+    "files",
+    "intervals",
+    "levels",
+    "autocorrelation",
+    "fixed_costs",
+    "traces",
+}
 
 ARROWS = {
     "__main__": {"cli"},
@@ -38,7 +47,8 @@ ARROWS = {
     "intervals": {"errors"},
     "levels": {"errors"},
     "autocorrelation": set(),
-    "traces": {"autocorrelation", "errors", "files", "units"},
+    "fixed_costs": {"errors"},
+    "traces": {"autocorrelation", "errors", "files", "fixed_costs", "units"},
 }
 
 # Beside the arrows: the types of a recipe's sections, the run's layout, the records of results.

@@ -1,11 +1,12 @@
 """The page of a profile: what it says is what the rows hold."""
 
+import io
 import json
 
 import pytest
+from rich.console import Console
 
-from rtc_cli.cli.options import read_fixed_ms
-from rtc_cli.errors import UsageError
+from rtc_cli.cli.profile import _render
 from rtc_cli.report.profile.page import save_profile_page
 
 
@@ -75,10 +76,20 @@ def test_small_networks_are_not_set_beside_published_latencies(content, tmp_path
     assert "RTX 4090" not in page
 
 
-def test_fixed_costs():
-    assert read_fixed_ms("") == {}
-    assert read_fixed_ms("62") == {"fixed": 62.0}
-    assert read_fixed_ms("vision=18, prefill=44.5") == {"vision": 18.0, "prefill": 44.5}
-    for bad in ("vision=", "x", "-1", "a=nan"):
-        with pytest.raises(UsageError, match="fixed cost"):
-            read_fixed_ms(bad)
+def test_a_measured_fixed_cost_is_drawn_at_its_median(content, tmp_path):
+    costs = {"vision": 18.0, "network": [10.0, 44.0, 300.0]}
+    rows = [{**row, "fixed_ms": costs} for row in content["rows"]]
+    paths = save_profile_page(tmp_path, content | {"rows": rows})
+    assert "vision 18 ms + network 44 ms (median of 3)" in paths.markdown.read_text("utf-8")
+
+
+@pytest.mark.parametrize("slower", [1.0, 300.0, 2000.0])
+def test_tables_of_the_terminal_show_every_digit(content, slower):
+    long = ("p50_ms", "p95_ms", "p99_ms", "per_step_ms", "floor_ms", "total_p95_ms")
+    rows = [{**row, **{key: slower * row[key] for key in long}} for row in content["rows"]]
+    rows += [{**rows[0], "sampler": "prefix-per-token"}]
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(*_render(rows, content["machine"]))
+    shown = console.export_text()
+    assert "prefix-per-token" in shown
+    assert "…" not in shown

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rtc_cli.fixed_costs import check_costs, say_costs
 from rtc_cli.report.charge.rows import best_by_method
-from rtc_cli.report.document import Bullets, Document, Picture, Section
+from rtc_cli.report.document import Bullets, Document, Fold, Paragraph, Picture, Section
 from rtc_cli.report.render import Grid
 from rtc_cli.report.sections import as_table
 from rtc_cli.report.style import INK, MUTED, looks, new_figure, tidy
@@ -96,23 +97,13 @@ def charge_figure(content: Mapping[str, Any]) -> "Figure":
 
 def save_charge_page(folder: Path, content: Mapping[str, Any]) -> ReportPaths:
     """Write the page of an evaluation at equal hardware into a folder."""
-    drawing = Picture(
-        "charge",
-        "Success against the latency of one chunk, by method and flow steps",
-        charge_figure(content),
-        "Bars: 95% Wilson intervals of these checkpoints. Dotted: where the next control step of "
-        "delay begins.",
-    )
-    fixed = " + ".join(f"{name} {ms:g} ms" for name, ms in content["fixed_ms"].items())
-    fixed = fixed or "those of the latencies, if any"
     document = Document(
         title="Success at equal hardware",
-        subtitle=f"{content['tasks']}; {content['hz']:g} Hz, {content['rounding']}; latencies: "
-        f"{content['profile']}; fixed costs added: {fixed}.",
+        subtitle=f"{content['tasks']}. {_conditions(content)}.",
         question="What is each method worth where it pays for its own latency?",
         answer=findings(content),
         sections=[
-            Section("figure", "Success against latency", [drawing]),
+            Section("figure", "Success against latency", [_picture(content)]),
             Section("rows", "Every method and K", [as_table(charge_grid(content["rows"]))]),
             Section(
                 "differences",
@@ -123,6 +114,43 @@ def save_charge_page(folder: Path, content: Mapping[str, Any]) -> ReportPaths:
         ],
     )
     return write_document(folder, document, dict(content), {})
+
+
+def charge_section(content: Mapping[str, Any]) -> Section:
+    """The same as one section of a run's report."""
+    return Section(
+        "charge",
+        "Success at equal hardware",
+        [
+            Paragraph(
+                "Here every method, with each number of flow steps K, acts at the delay of its own "
+                f"latency. {_conditions(content)}."
+            ),
+            Bullets(findings(content)),
+            _picture(content),
+            as_table(charge_grid(content["rows"]), "Every method and K"),
+            as_table(difference_grid(content["differences"]), "Differences with the same K"),
+            Fold("How to read it", [Bullets(_READING)]),
+        ],
+    )
+
+
+def _conditions(content: Mapping[str, Any]) -> str:
+    fixed = say_costs(check_costs(content["fixed_ms"])) or "those of the latencies, if any"
+    return (
+        f"Latencies: {content['profile']}; fixed costs added: {fixed}; {content['hz']:g} Hz, "
+        f"{content['rounding']}"
+    )
+
+
+def _picture(content: Mapping[str, Any]) -> Picture:
+    return Picture(
+        "charge",
+        "Success against the latency of one chunk, by method and flow steps",
+        charge_figure(content),
+        "Bars: 95% Wilson intervals of these checkpoints. Dotted: where the next control step of "
+        "delay begins.",
+    )
 
 
 _READING = [

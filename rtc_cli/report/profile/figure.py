@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from rtc_cli.fixed_costs import check_costs, typical_ms
 from rtc_cli.report.profile.published import PUBLISHED
 from rtc_cli.report.style import INK, LOOKS, MUTED, RULE, looks, new_figure, tidy
 from rtc_cli.report.tables import Row
@@ -33,7 +34,7 @@ def chunk_figure(groups: dict[str, list[Row]], *, published: bool) -> "Figure":
         _ticks(axes, first["hz"])
         axes.tick_params(axis="y", labelsize=9.5, labelcolor=INK)
     panels[-1].set_xlabel(
-        "ms: grey = fixed costs, colour = flow steps (median), line = to the 95th percentile.\n"
+        "ms: grey = fixed costs, colour = flow steps (medians), line = to the 95th percentile.\n"
         f"Numbers on top: control steps of {1000 / first['hz']:.3g} ms ({first['hz']:g} Hz)",
         color=MUTED,
         fontsize=9.5,
@@ -46,7 +47,8 @@ def _measured(axes: "Axes", rows: Sequence[Row]) -> None:
     style = looks([{"plain": "naive"}.get(name, name) for name in names])
     widest = max(row["total_p95_ms"] for row in rows)
     for place, (row, look) in enumerate(zip(rows, style.values(), strict=True)):
-        left = _stack(axes, place, row["fixed_ms"], widest)
+        fixed = {name: typical_ms(cost) for name, cost in check_costs(row["fixed_ms"]).items()}
+        left = _stack(axes, place, fixed, widest)
         step = row["p50_ms"] / row["flow_steps"]
         for index in range(row["flow_steps"]):
             _bar(axes, place, left + index * step, step, look.colour)
