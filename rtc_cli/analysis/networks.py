@@ -1,6 +1,7 @@
 """Networks by name, with random weights: what a profile can be made of without a run."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -110,12 +111,29 @@ def free_memory() -> int | None:
     stats = device.memory_stats() if device.platform != "cpu" else None
     if stats and "bytes_limit" in stats:
         return int(stats["bytes_limit"] - stats.get("bytes_in_use", 0))
+    rooms = [room for room in (_machine_room(), _container_room()) if room is not None]
+    return min(rooms, default=None)
+
+
+def _machine_room() -> int | None:
     try:
-        with open("/proc/meminfo", encoding="ascii") as lines:
-            found = dict(line.split(":", 1) for line in lines)
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        found = dict(line.split(":", 1) for line in lines)
         return int(found["MemAvailable"].split()[0]) * 1024
     except (OSError, KeyError, ValueError):
         return None
+
+
+def _container_room(groups: Path = Path("/sys/fs/cgroup")) -> int | None:
+    """What a control group (a container, a batch system) still allows; None without a limit."""
+    names = (("memory.max", "memory.current"), ("memory.limit_in_bytes", "memory.usage_in_bytes"))
+    for limit, used in names:
+        try:
+            allowed, taken = ((groups / name).read_text(encoding="ascii") for name in (limit, used))
+            return int(allowed) - int(taken)
+        except (OSError, ValueError):  # "max" stands for no limit
+            continue
+    return None
 
 
 def _preset(name: str) -> Preset:

@@ -11,7 +11,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from rtc_cli import __version__
-from rtc_cli.errors import RtcError, UsageError, did_you_mean
+from rtc_cli.errors import RtcError, StateError, UsageError, did_you_mean
 
 EXIT_INTERRUPTED = 130
 EXIT_BROKEN_PIPE = 141  # what a shell reports for a program that SIGPIPE ended
@@ -135,6 +135,8 @@ def run(args: Sequence[str]) -> int:
     except typer.Abort:
         return _fail(RtcError("aborted"))
     except Exception as error:
+        if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+            return _fail(_out_of_memory(error), error)
         if not hasattr(error, "format_message"):
             raise
         return _fail_usage(error)
@@ -142,6 +144,13 @@ def run(args: Sequence[str]) -> int:
 
 def _interrupted() -> RtcError:
     return RtcError("interrupted; run again to resume", exit_code=EXIT_INTERRUPTED)
+
+
+def _out_of_memory(error: Exception) -> RtcError:
+    """Say in one line what JAX or NumPy could not allocate."""
+    said = str(error).strip().splitlines()
+    what = said[0].removeprefix("RESOURCE_EXHAUSTED: ") if said else "out of memory"
+    return StateError(what, "take a smaller network, batch or number of workers, or free some")
 
 
 def _fail_usage(error: Any) -> int:

@@ -1,12 +1,14 @@
 """What a chunk must read: counted by hand on small functions and on a transformer's weights."""
 
+import os
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from random_weights import random_policy
 
-from rtc_cli.analysis import floor
+from rtc_cli.analysis import floor, networks
 from rtc_cli.analysis.floor import Ceilings, Needs, bytes_read
 from rtc_cli.analysis.networks import PRESETS, check_memory, preset_config
 from rtc_cli.core.geometry import ChunkGeometry
@@ -117,3 +119,22 @@ def test_a_network_that_does_not_fit_is_refused_before_it_is_made(monkeypatch):
     with pytest.raises(UsageError, match=r"needs 3\.\d GB, 1\.0 GB are free"):
         check_memory(preset_config("expert-300m"), "expert-300m")
     assert set(PRESETS) >= {"quickstart", "paper", "expert-300m", "expert-860m"}
+
+
+def test_the_limit_of_a_container_counts(tmp_path):
+    assert networks._container_room(tmp_path) is None
+    (tmp_path / "memory.current").write_text("3000\n")
+    (tmp_path / "memory.max").write_text("max\n")
+    assert networks._container_room(tmp_path) is None
+    (tmp_path / "memory.max").write_text("5000\n")
+    assert networks._container_room(tmp_path) == 2000
+    old = tmp_path / "old"
+    old.mkdir()
+    (old / "memory.limit_in_bytes").write_text("7000\n")
+    (old / "memory.usage_in_bytes").write_text("1000\n")
+    assert networks._container_room(old) == 6000
+
+
+def test_free_memory_is_no_more_than_the_machine_has():
+    pages = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    assert 0 < networks.free_memory() <= pages

@@ -66,6 +66,12 @@ def test_version(capsys):
         (DivergedError("a"), 4, "rtc: error: a\n"),
         (PartialResult("a"), 5, "rtc: error: a\n"),
         (RtcError("a", exit_code=5), 5, "rtc: error: a\n"),
+        (
+            RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.\n---\nmore"),
+            3,
+            "rtc: error: Out of memory allocating 9 bytes. "
+            "(take a smaller network, batch or number of workers, or free some)\n",
+        ),
         (KeyboardInterrupt(), 130, "rtc: interrupted; run again to resume\n"),
     ],
 )
