@@ -94,6 +94,9 @@ app = typer.Typer(
 )
 
 
+_OUT_OF_MEMORY = "Out of memory"  # as XLA says it
+
+
 def _print_version(wanted: bool) -> None:
     if wanted:
         typer.echo(f"rtc {__version__}")
@@ -135,7 +138,7 @@ def run(args: Sequence[str]) -> int:
     except typer.Abort:
         return _fail(RtcError("aborted"))
     except Exception as error:
-        if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+        if isinstance(error, MemoryError) or _OUT_OF_MEMORY in str(error):
             return _fail(_out_of_memory(error), error)
         if not hasattr(error, "format_message"):
             raise
@@ -148,9 +151,9 @@ def _interrupted() -> RtcError:
 
 def _out_of_memory(error: Exception) -> RtcError:
     """Say in one line what JAX or NumPy could not allocate."""
-    said = str(error).strip().splitlines()
-    what = said[0].removeprefix("RESOURCE_EXHAUSTED: ") if said else "out of memory"
-    return StateError(what, "take a smaller network, batch or number of workers, or free some")
+    _, found, rest = str(error).partition(_OUT_OF_MEMORY)
+    what = f"{found}{rest}".strip().splitlines() or [_OUT_OF_MEMORY]
+    return StateError(what[0], "take a smaller network, batch or number of workers, or free some")
 
 
 def _fail_usage(error: Any) -> int:

@@ -67,7 +67,7 @@ def test_version(capsys):
         (PartialResult("a"), 5, "rtc: error: a\n"),
         (RtcError("a", exit_code=5), 5, "rtc: error: a\n"),
         (
-            RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes.\n---\nmore"),
+            RuntimeError("INTERNAL: Error: Out of memory allocating 9 bytes.\n---\nmore"),
             3,
             "rtc: error: Out of memory allocating 9 bytes. "
             "(take a smaller network, batch or number of workers, or free some)\n",
