@@ -224,7 +224,7 @@ def rich_table(grid: Grid, title: str = "", caption: str = "") -> "Table":
             text = cell.replace("**", "").replace(" (pymunk", "\n(pymunk")
             if place >= grid.left:
                 text = text.replace(" (", "\n(").replace("\n(", "\n").replace(" to ", "…")
-                text = text.rstrip(")")
+                text = text.removeprefix("(").rstrip(")")
             cells.append(Text(text, style="bold" if bold or place == 0 else ""))
         table.add_row(*cells)
     return table

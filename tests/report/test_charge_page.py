@@ -1,17 +1,20 @@
 """Rows, figure and page of an evaluation at equal hardware, on made-up episodes."""
 
+import io
 from types import ModuleType
 
 import pandas as pd
 import pytest
+from rich.console import Console
 
-from rtc_cli.report.charge.page import save_charge_page
+from rtc_cli.report.charge.page import charge_grid, save_charge_page
 from rtc_cli.report.charge.rows import (
     ChargedEpisodes,
     best_by_method,
     charge_differences,
     charge_rows,
 )
+from rtc_cli.report.render import rich_table
 
 
 def charged(every: pd.DataFrame, method: str, delay: int, latency: float) -> ChargedEpisodes:
@@ -80,3 +83,11 @@ def test_the_best_of_equals_has_fewer_steps():
     ]
     best = {row["method"]: row["flow_steps"] for row in best_by_method(rows)}
     assert best == {"pinv": 5, "naive": 5}
+
+
+def test_intervals_in_the_terminal_have_both_brackets_or_none(all_charged):
+    console = Console(width=80, record=True, file=io.StringIO())
+    console.print(rich_table(charge_grid(charge_rows(all_charged))))
+    shown = console.export_text()
+    assert shown.count("(") == shown.count(")")
+    assert "…" in shown

@@ -136,10 +136,11 @@ def charge_section(content: Mapping[str, Any]) -> Section:
 
 
 def _conditions(content: Mapping[str, Any]) -> str:
-    fixed = say_costs(check_costs(content["fixed_ms"])) or "those of the latencies, if any"
+    fixed = say_costs(check_costs(content["fixed_ms"]))
+    added = f", plus {fixed}" if fixed else ""
     return (
-        f"Latencies: {content['profile']}; fixed costs added: {fixed}; {content['hz']:g} Hz, "
-        f"{content['rounding']}"
+        f"Latencies: {content['profile']}{added}; delays are whole control steps at "
+        f"{content['hz']:g} Hz ({content['rounding']})"
     )
 
 
