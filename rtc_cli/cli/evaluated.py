@@ -115,22 +115,25 @@ def evaluation_tables(results: Results) -> list[RenderableType]:
     from rtc_cli.report import render
     from rtc_cli.report.losses.grids import render_losses
     from rtc_cli.report.losses.text import main_protocol
-    from rtc_cli.report.tables import ALL
+    from rtc_cli.report.tables import ALL, pick
+    from rtc_cli.report.varying import constant, render_varying
 
     tables: list[RenderableType] = []
+    summary, gaps = constant(results.summary), constant(results.differences)
     several, many = len(results.tasks) > 1, len(results.tasks) > SINGLY
     singly = [] if many else results.tasks
     for task in [*singly, ALL] if several else singly:
-        tables.extend(render.render_summary(results.summary, task=task))
-    if many:
-        protocol = main_protocol(results.summary)
-        tables.append(render.render_by_task(results.summary, protocol))
+        tables.extend(render.render_summary(summary, task=task))
+    if many and summary:
+        tables.append(render.render_by_task(summary, main_protocol(summary)))
     for protocol in results.protocols:
-        if results.differences and protocol != "grid":
+        if gaps and protocol != "grid":
             task = ALL if several else results.tasks[0]
-            tables.append(render.render_differences(results.differences, protocol, task=task))
+            tables.append(render.render_differences(gaps, protocol, task=task))
         if results.matrix and protocol != "grid":
             tables.append(render.render_matrix(results.matrix, protocol))
-    tables.extend(render.render_cases(results.summary))
+    for protocol in results.protocols:
+        rows = pick(results.summary, protocol=protocol)
+        tables.extend(render_varying(rows, results.differences))
     tables.extend(render_losses(results.losses))
     return [*tables, *render.render_d90(results.d90)]

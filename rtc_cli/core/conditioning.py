@@ -6,6 +6,7 @@ arrays are (H, B, C): tokens, batch, channels.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -60,8 +61,29 @@ def adaln_zero(
     )
 
 
-def select_rows(rows: Int[Array, "#H #B"]) -> Select:
-    """Select by index: token i of example b takes row `rows[i, b]` of the table."""
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class CleanRows:
+    """Rows of a table for a chunk with a clean prefix: `clean` for its tokens, else `own`.
+
+    Selected by comparison. To look a row up for every token gives the same numbers, and costs a
+    tenth of a small network's time at batch 32.
+    """
+
+    own: Int[Array, ""]
+    clean: Int[Array, ""] | int
+    prefix: Bool[Array, "H #B"]
+
+
+Rows = Int[Array, "#H #B"] | CleanRows
+"""Which row of a table each token takes: token i of example b takes row `rows[i, b]`."""
+
+
+def select_rows(rows: Rows) -> Select:
+    """Select each token's row."""
+    if isinstance(rows, CleanRows):
+        prefix = rows.prefix[..., None]
+        return lambda table: jnp.where(prefix, table[rows.clean], table[rows.own])
     return lambda table: table[rows]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from flax import nnx
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from rtc_cli.core.conditioning import Select, select_clean, select_own, select_rows
+from rtc_cli.core.conditioning import Rows, Select, select_clean, select_own, select_rows
 from rtc_cli.core.delays import DelayDistribution
 from rtc_cli.core.flow import interpolate, masked_squares, target_velocity
 from rtc_cli.core.mixer import Mixer
@@ -198,11 +198,12 @@ class Policy:
         """Draw initial parameters.
 
         adaLN starts at zero (every block is the identity at first) unless `adaln_zero` is False:
-        then its kernel is random too, as a trained one would be; for profiles and tests.
+        then its kernel is random too, as a trained one would be; for profiles and tests. Networks
+        without adaLN are drawn as they are.
         """
         net_key, adaln_key = jax.random.split(key)
         params = nnx.to_pure_dict(nnx.split(_build(config, nnx.Rngs(net_key)))[1])
-        if not adaln_zero:
+        if not adaln_zero and "adaln" in params:
             kernel = params["adaln"]["kernel"]
             scale = 0.5 * kernel.shape[0] ** -0.5
             params["adaln"]["kernel"] = scale * jax.random.normal(adaln_key, kernel.shape)
@@ -402,11 +403,8 @@ class TableVelocity:
     conditioning: Any
     observed: Any
 
-    def __call__(self, x: Float[Array, "H B A"], rows: Array) -> Float[Array, "H B A"]:
-        """Velocity of x where token i of example b has the flow time of row `rows[i, b]`.
-
-        `rows` is int32, broadcastable to (H, B).
-        """
+    def __call__(self, x: Float[Array, "H B A"], rows: Rows) -> Float[Array, "H B A"]:
+        """Velocity of x where the tokens have the flow times of these rows of the table."""
         network = nnx.merge(_graph(self.config), self.params)
         return network.tokens(x, self.observed, self.conditioning, select_rows(rows))
 

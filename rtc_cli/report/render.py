@@ -184,18 +184,6 @@ CASES = {
 }
 
 
-def cases_grid(rows: Sequence[Row]) -> Grid:
-    """Return how often something special happened per episode, where anything did."""
-    mine = pick(rows, task=ALL, train_seed=ALL)
-    lines = [
-        [row["method"], f"d={row['delay']} s={row['exec_horizon']}"]
-        + [f"{row[name]:.3g}" for name in CASES]
-        for row in mine
-        if any(row.get(name) for name in CASES)
-    ]
-    return Grid(["method", "cell", *CASES.values()], lines, left=2)
-
-
 # -- terminal --------------------------------------------------------------------------------
 
 
@@ -255,18 +243,6 @@ def render_differences(rows: Sequence[Row], protocol: str, *, task: str = ALL) -
     return rich_table(
         differences_grid(mine, protocol, task=task), title, difference_interval_text(mine)
     )
-
-
-def render_cases(rows: Sequence[Row]) -> "list[Table]":
-    """Return one rich table per protocol of what happened to requests and chunks."""
-    caption = "late and dropped chunks, starved ticks, clipped and exceeded requests"
-    tables = []
-    for protocol in dict.fromkeys(row["protocol"] for row in rows):
-        grid = cases_grid(pick(rows, protocol=protocol))
-        if grid.rows:
-            title = f"Per episode, protocol {protocol}"
-            tables.append(rich_table(grid, title, caption))
-    return tables
 
 
 def render_d90(rows: Sequence[Row]) -> "list[Table]":

@@ -58,6 +58,12 @@ from rtc_cli.report.text import (
     points,
     protocol_text,
 )
+from rtc_cli.report.varying import (
+    constant,
+    delay_differences_grid,
+    delays_grid,
+    varying,
+)
 
 CONTROL_HZ = 30.0
 
@@ -207,20 +213,50 @@ def success(results: Results) -> Section:
 
 
 def _success_blocks(results: Results, protocol: str) -> list[Block]:
-    rows = pick(results.summary, protocol=protocol)
+    every = _named_methods(pick(results.summary, protocol=protocol))
+    blocks: list[Block] = [Paragraph(f"**{capital(protocol_text(protocol))}.**")]
+    rows = constant(every)
+    if rows:
+        blocks += _constant_blocks(results, rows, protocol)
+    if varying(every):
+        blocks += _varying_blocks(results, every)
+    if len(results.seeds) > 1:
+        blocks.append(Fold("The same for each training seed", [_seed_table(results, every)]))
+    return blocks
+
+
+def _varying_blocks(results: Results, rows: Sequence[Row]) -> list[Block]:
+    """Show success where delays vary: a line per law of delays and what is told of it."""
+    told = "`told`: what the samplers are told of each delay; naive has no use for it."
+    caption = f"Episodes solved (%) where delays vary, {_mean_of(results)}. {told} "
+    mean = delays_grid(rows)
+    blocks: list[Block] = [as_table(mean, caption + SUMMARY_INTERVAL)] if mean.rows else []
+    if len(results.tasks) > 1:
+        grids = {task: delays_grid(rows, task=task) for task in results.tasks}
+        tables = [
+            as_table(grid, f"Where delays vary, task: {task_label(task)}")
+            for task, grid in grids.items()
+            if grid.rows
+        ]
+        blocks.append(Fold("Where delays vary, for each task", tables))
+    return blocks
+
+
+def _constant_blocks(results: Results, rows: Sequence[Row], protocol: str) -> list[Block]:
+    """Show success against delay: figure, table of the mean, tables per task."""
     name = f"success-{protocol.replace(':', '-')}"
     label = f"Success against delay for each method, {protocol}"
-    blocks: list[Block] = [Paragraph(f"**{capital(protocol_text(protocol))}.**")]
+    blocks: list[Block] = []
     if protocol != "grid":  # several s per delay do not make one line
         blocks.append(
             Picture(
                 name,
                 label,
-                figures.success_figure(_named_methods(rows), protocol),
+                figures.success_figure(rows, protocol),
                 f"Bands: 95% intervals. {_scope(results)}",
             )
         )
-    mean = success_grid(_named_methods(rows))
+    mean = success_grid(rows)
     episodes = sorted({row["episodes"] for row in pick(rows, task=ALL, train_seed=ALL)})
     number = f"{episodes[0]:,}" if len(episodes) == 1 else f"{episodes[0]:,} to {episodes[-1]:,}"
     caption = f"Episodes solved (%), {_mean_of(results)}; {number} episodes per number. "
@@ -229,12 +265,10 @@ def _success_blocks(results: Results, protocol: str) -> list[Block]:
         blocks.append(Note("No cell was evaluated on every task yet, so there is no mean."))
     if len(results.tasks) > 1:
         tables = [
-            as_table(success_grid(_named_methods(rows), task=task), f"Task: {task_label(task)}")
+            as_table(success_grid(rows, task=task), f"Task: {task_label(task)}")
             for task in results.tasks
         ]
         blocks.append(Fold("The same for each task", tables))
-    if len(results.seeds) > 1:
-        blocks.append(Fold("The same for each training seed", [_seed_table(results, rows)]))
     return blocks
 
 
@@ -267,7 +301,7 @@ def capital(text: str) -> str:
 def _seed_table(results: Results, rows: Sequence[Row]) -> Table:
     columns = [f"seed {seed}" for seed in results.seeds]
     lines = []
-    for row in pick(_named_methods(rows), task=ALL, train_seed=ALL):
+    for row in pick(rows, task=ALL, train_seed=ALL):
         cell = {key: row[key] for key in ("method", "delay", "exec_horizon")}
         found = [pick(rows, task=ALL, train_seed=seed, **cell) for seed in results.seeds]
         values = [points(match[0]["success"]) if match else "-" for match in found]
@@ -299,10 +333,19 @@ def paired_differences(results: Results) -> Section:
 
 
 def _difference_blocks(results: Results, protocol: str) -> list[Block]:
-    rows = [row for row in results.differences if fits_protocol(row, protocol)]
-    if not pick(rows, task=ALL):
+    every = [row for row in results.differences if fits_protocol(row, protocol)]
+    if not pick(every, task=ALL):
         return [Note(f"There is no difference over all tasks for protocol `{protocol}` yet.")]
     blocks: list[Block] = [Paragraph(f"**{capital(protocol_text(protocol))}.**")]
+    if varying(every):
+        summary = pick(results.summary, protocol=protocol)
+        grid = delay_differences_grid(every, summary)
+        caption = f"Percentage points where delays vary, {_mean_of(results)}."
+        if grid.rows:
+            blocks.append(as_table(grid, caption))
+    rows = constant(every)
+    if not pick(rows, task=ALL):
+        return blocks
     if protocol != "grid":
         blocks.append(
             Picture(

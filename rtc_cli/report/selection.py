@@ -135,6 +135,12 @@ def condition_label(method: str) -> str:
     return found[0] if found else ""
 
 
+def delay_label(method: str) -> str:
+    """Return the part of a method's name that tells delays that vary; "" where there is none."""
+    found = re.search(r" \(delays .*\)$", method)
+    return found[0] if found else ""
+
+
 def _label(method: str, settings: str) -> str:
     try:
         values = json.loads(settings)

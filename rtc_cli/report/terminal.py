@@ -1,12 +1,13 @@
 """What a terminal shows of a whole report, whichever kind it is."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rtc_cli.report.grid.tables import render_grid
 from rtc_cli.report.render import render_d90, render_differences, render_summary
 from rtc_cli.report.selection import fits_protocol
-from rtc_cli.report.tables import ALL, Row
+from rtc_cli.report.tables import ALL, Row, pick
+from rtc_cli.report.varying import constant, render_varying
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -20,9 +21,19 @@ def render_report(data: Mapping[str, Any]) -> "list[Table]":
     gaps: list[Row] = data["differences"]
     series = "variant" if rows and "variant" in rows[0] else "method"
     named = [row for row in rows if "+" not in row["method"]]
-    tables = render_summary(named, series=series)
-    for protocol in dict.fromkeys(row["protocol"] for row in rows):
-        if any(row["task"] == ALL and fits_protocol(row, protocol) for row in gaps):
-            tables.append(render_differences(gaps, protocol))
+    if series == "variant":
+        return [*render_summary(named, series=series), *_render_gaps(rows, gaps)]
+    tables = [*render_summary(constant(named)), *_render_gaps(rows, constant(gaps))]
+    for protocol in dict.fromkeys(row["protocol"] for row in named):
+        tables += render_varying(pick(named, protocol=protocol), gaps)
     d90 = [row for row in data.get("d90", []) if "+" not in row["method"]]
     return [*tables, *render_d90(d90)]
+
+
+def _render_gaps(rows: Sequence[Row], gaps: Sequence[Row]) -> "list[Table]":
+    protocols = dict.fromkeys(row["protocol"] for row in rows)
+    return [
+        render_differences(gaps, protocol)
+        for protocol in protocols
+        if any(row["task"] == ALL and fits_protocol(row, protocol) for row in gaps)
+    ]

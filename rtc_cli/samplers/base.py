@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from rtc_cli.core.conditioning import Rows, select_rows
 from rtc_cli.core.flow import Velocity
 from rtc_cli.core.geometry import ChunkGeometry, known
 from rtc_cli.core.policy import PhysicalActions
@@ -51,9 +52,9 @@ class ChunkRequest:
 
 
 class Field(Protocol):
-    """A velocity field on a table of flow times: x (H, B, A), rows (#H, #B) -> (H, B, A)."""
+    """A velocity field on a table of flow times: x (H, B, A), each token's row -> (H, B, A)."""
 
-    def __call__(self, x: Float[Array, "H B A"], rows: Int[Array, "#H #B"]) -> Array: ...
+    def __call__(self, x: Float[Array, "H B A"], rows: Rows) -> Array: ...
 
 
 @jax.tree_util.register_dataclass
@@ -222,8 +223,8 @@ class _Opaque:
     velocity: Velocity
     times: Float[Array, " N"]
 
-    def __call__(self, x: Float[Array, "H B A"], rows: Int[Array, "#H #B"]) -> Array:
-        tau = jnp.broadcast_to(self.times[rows], x.shape[:2])
+    def __call__(self, x: Float[Array, "H B A"], rows: Rows) -> Array:
+        tau = jnp.broadcast_to(select_rows(rows)(self.times[:, None])[..., 0], x.shape[:2])
         return jnp.swapaxes(self.velocity(jnp.swapaxes(x, 0, 1), tau.T), 0, 1)
 
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from rtc_cli.core.conditioning import CleanRows, Rows
 from rtc_cli.samplers.base import Field, Problem, Sampler, Step
 
 
@@ -30,9 +31,9 @@ class Prefix(Sampler):
     def update(
         self, velocity: Field, x: Float[Array, "H B A"], step: Step, problem: Problem
     ) -> Float[Array, "H B A"]:
-        rows = jnp.full((1, 1), step.index)
+        rows: Rows = jnp.full((1, 1), step.index)
         if problem.overlap is not None:
-            rows = jnp.where(problem.prefix, problem.flow_steps, rows)
+            rows = CleanRows(step.index, problem.flow_steps, problem.prefix)
         return _paste(x + step.dt * velocity(x, rows), problem)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from random_weights import random_policy
 
+from rtc_cli.core.conditioning import CleanRows
 from rtc_cli.core.delays import DelayDistribution
 from rtc_cli.core.policy import (
     Normaliser,
@@ -71,6 +72,20 @@ def test_table_equals_per_token_path(policy, batch):
     got = field(policy, jnp.swapaxes(x, 0, 1), rows)
     assert float(jnp.std(expected)) > 0.1
     np.testing.assert_allclose(jnp.swapaxes(got, 0, 1), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("delays", [[3], [0, 2, 5, 8]])
+def test_a_clean_prefix_takes_the_rows_that_it_would_look_up(policy, batch, delays):
+    obs, x, _ = batch
+    times = np.append(np.arange(4) / 4, 1.0)
+    prefix = jnp.arange(H)[:, None] < jnp.asarray(delays)
+    field = jax.jit(lambda policy, x, rows: policy.velocity(obs).tabulate(times)(x, rows))
+    x = jnp.swapaxes(x, 0, 1)
+    for own in (0, 3):
+        looked_up = jnp.where(prefix, 4, own)
+        rows = CleanRows(jnp.int32(own), 4, prefix)
+        got, expected = field(policy, x, rows), field(policy, x, looked_up)
+        np.testing.assert_allclose(got, expected, atol=1e-6)
 
 
 def test_mixer_is_the_written_out_network(policy, batch):

@@ -8,10 +8,18 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from rtc_cli.report.render import cases_grid, pair_text, render_cases
+from rtc_cli.report.render import pair_text
 from rtc_cli.report.sections import compute
-from rtc_cli.report.selection import condition_label, method_order, timing_label
+from rtc_cli.report.selection import condition_label, delay_label, method_order, timing_label
 from rtc_cli.report.tables import differences, pick, summarise
+from rtc_cli.report.varying import (
+    cases_grid,
+    constant,
+    delay_differences_grid,
+    delays_grid,
+    render_varying,
+    varying,
+)
 
 
 @pytest.mark.parametrize(
@@ -31,7 +39,8 @@ from rtc_cli.report.tables import differences, pick, summarise
 )
 def test_labels(timing, label):
     assert timing_label(*timing) == label
-    assert condition_label("naive" + label) == label
+    assert condition_label("naive" + label) == delay_label("naive" + label) == label
+    assert delay_label("naive (noise 0.2)" + label) == label
     assert condition_label("naive (noise 0.2)" + label) == " (noise 0.2)" + label
     assert condition_label("pinv (mask=exp)" + label) == label
 
@@ -94,16 +103,55 @@ def test_a_difference_says_its_delays_once():
     assert pair_text("prefix" + label, "naive") == "prefix (delays uniform:0-4) − naive"
 
 
+def test_a_line_per_law_and_a_column_per_method(episodes):
+    results = compute(episodes)
+    grid = delays_grid(results.summary, task="catcher")
+    assert grid.columns == ["delays", "told", "naive", "prefix"]
+    assert [row[:2] for row in grid.rows] == [["constant:2", "exact"], ["uniform:0-4", "exact"]]
+    assert [row[2].split(" ")[0] for row in grid.rows] == ["100.0", "50.0"]
+    assert [row[3].split(" ")[0] for row in grid.rows] == ["100.0", "100.0"]
+    gaps = delay_differences_grid(results.differences, results.summary, task="catcher")
+    assert gaps.columns == ["delays", "told", "prefix − naive"]
+    assert [row[2].split(" ")[0] for row in gaps.rows] == ["0.0", "**+50.0**"]
+
+
+def test_other_settings_are_said_with_what_is_told(episodes):
+    late = episodes[episodes.delay_model == "uniform:0-4"]
+    told = {"estimator": "max-of-last:10", "on_late": "discard", "observation_lag": 1}
+    grid = delays_grid(compute(pd.concat([episodes, late.assign(**told)])).summary, task="catcher")
+    assert [row[1] for row in grid.rows] == ["exact", "exact", "max-of-last:10, discard, lag 1"]
+
+
+def test_constant_delays_have_a_column_per_delay_unless_they_are_shown_beside_the_others(
+    episodes, synthetic
+):
+    rows = compute(episodes).summary
+    assert constant(rows) == []
+    assert varying(rows) == rows
+    more = synthetic.cell("naive", "catcher", 0, "fixed:4", 3, 4, [True] * 40)
+    rows = compute(pd.concat([episodes, more], ignore_index=True)).summary
+    assert {(row["method"], row["delay"]) for row in constant(rows)} == {
+        ("naive", 2),
+        ("prefix", 2),
+        ("naive", 3),
+    }
+    assert {row["delay"] for row in varying(rows)} == {2}
+    only = compute(episodes[episodes.delay_model == "constant:2"]).summary
+    assert constant(only) == only
+    assert varying(only) == []
+
+
 def test_cases_are_shown_where_delays_vary(episodes):
     results = compute(episodes)
     grid = cases_grid(results.summary)
-    assert grid.columns[2:5] == ["late", "dropped", "starved"]
-    assert [row[:5] for row in grid.rows] == [
-        ["naive (delays uniform:0-4)", "d=2 s=4", "5", "0", "3"],
+    assert grid.columns[4:7] == ["late", "dropped", "starved"]
+    assert [row[:7] for row in grid.rows] == [
+        ["uniform:0-4", "exact", "naive", "4", "5", "0", "3"],
     ]
-    console = Console(file=io.StringIO(), width=200)
-    (table,) = render_cases(results.summary)
-    console.print(table)
-    assert "Per episode, protocol fixed:4" in console.file.getvalue()
-    constant = episodes[episodes.delay_model == "constant:2"]
-    assert render_cases(compute(constant).summary) == []
+    console = Console(file=io.StringIO(), width=80)
+    console.print(*render_varying(results.summary, results.differences))
+    shown = console.file.getvalue()
+    assert "Per episode, protocol fixed:4" in shown
+    assert "Paired differences" in shown
+    only = compute(episodes[episodes.delay_model == "constant:2"])
+    assert render_varying(only.summary, only.differences) == []
