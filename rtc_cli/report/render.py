@@ -202,8 +202,9 @@ def rich_table(grid: Grid, title: str = "", caption: str = "") -> "Table":
         pad_edge=False,
     )
     for place, name in enumerate(grid.columns):
+        left = place < grid.left
         table.add_column(
-            name.replace(" s=", "\ns="), justify="left" if place < grid.left else "right"
+            name.replace(" s=", "\ns="), justify="left" if left else "right", overflow="fold"
         )
     for row in grid.rows:
         cells = []

@@ -18,13 +18,18 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class Condition:
     """A law of delays, what samplers are told of it with all other settings, and s."""
 
     delays: str
     told: str
     exec_horizon: int
+
+    @property
+    def order(self) -> tuple[str, bool, str, int]:
+        """What lines are sorted by: the truth comes before what is estimated."""
+        return self.delays, self.told != "exact", self.told, self.exec_horizon
 
 
 def constant(rows: Sequence[Row]) -> list[Row]:
@@ -70,12 +75,13 @@ def cases_grid(rows: Sequence[Row]) -> Grid:
         for row in pick(rows, task=_whole(rows), train_seed=ALL)
         if any(row.get(name) for name in CASES)
     ]
+    shown = [name for name in CASES if any(row[name] for row in mine)]
     lines = [
         [_condition(row).delays, _condition(row).told, _name(row), str(row["exec_horizon"])]
-        + [f"{row[name]:.3g}" for name in CASES]
-        for row in sorted(mine, key=_condition)
+        + [f"{row[name]:.3g}" for name in shown]
+        for row in sorted(mine, key=lambda row: _condition(row).order)
     ]
-    return Grid(["delays", "told", "method", "s", *CASES.values()], lines, left=3)
+    return Grid(["delays", "told", "method", "s", *(CASES[name] for name in shown)], lines, left=3)
 
 
 # -- terminal --------------------------------------------------------------------------------
@@ -113,7 +119,7 @@ def render_varying(rows: Sequence[Row], gaps: Sequence[Row]) -> "list[Table]":
 
 
 def _by_condition(found: Mapping[tuple[Condition, str], str], columns: Sequence[str]) -> Grid:
-    conditions = sorted({condition for condition, _ in found})
+    conditions = sorted({condition for condition, _ in found}, key=lambda each: each.order)
     several = len({condition.exec_horizon for condition in conditions}) > 1
     lines = []
     for condition in conditions:
