@@ -64,7 +64,9 @@ def test_its_loss_falls_with_its_gradient(policy):
     actions = jnp.broadcast_to(obs[:, None, :A], (64, H, A))
     valid, key = jnp.ones((64, H), bool), jax.random.key(5)
 
-    before, slope = policy.loss_and_gradient(obs, actions, valid, key)
+    before, slope = jax.jit(Policy.loss_and_gradient)(policy, obs, actions, valid, key)
     stepped = jax.tree.map(lambda value, by: value - 0.1 * by, policy.params, slope)
-    after = dataclasses.replace(policy, params=stepped).loss(obs, actions, valid, key)
+    after = jax.jit(Policy.loss)(
+        dataclasses.replace(policy, params=stepped), obs, actions, valid, key
+    )
     assert after < before

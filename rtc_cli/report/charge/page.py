@@ -67,9 +67,9 @@ def charge_figure(content: Mapping[str, Any]) -> "Figure":
     names = list(dict.fromkeys(row["method"] for row in rows))
     figure = new_figure(7.4, 4.2)
     axes = figure.subplots()
-    for number, (name, look) in enumerate(looks(names).items()):
+    axes.margins(x=0.07)
+    for name, look in looks(names).items():
         mine = sorted(pick(rows, method=name), key=lambda row: row["latency_ms"])
-        above = number % 2 == 0  # labels of neighbours keep apart
         at = [row["latency_ms"] for row in mine]
         success = [100 * row["success"] for row in mine]
         axes.plot(at, success, marker=look.marker, linestyle=look.line, color=look.colour)
@@ -77,8 +77,8 @@ def charge_figure(content: Mapping[str, Any]) -> "Figure":
         axes.vlines(at, low, high, color=look.colour, linewidth=1.1, alpha=0.6)
         for row, x, y in zip(mine, at, success, strict=True):
             axes.annotate(
-                f"K={row['flow_steps']}", (x, y), xytext=(0, 7 if above else -14),
-                textcoords="offset points", ha="center", fontsize=8, color=look.colour,
+                f"K={row['flow_steps']}", (x, y), xytext=(5, 5),  # lines fall: there is room
+                textcoords="offset points", fontsize=8, color=look.colour,
             )  # fmt: skip
         axes.plot([], [], marker=look.marker, linestyle=look.line, color=look.colour, label=name)
     period = 1000 / content["hz"]
