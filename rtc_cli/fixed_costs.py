@@ -5,7 +5,7 @@ are taken to be independent of the network's own time. Imports nothing heavy.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rtc_cli.errors import UsageError
 
-Cost = float | tuple[float, ...]
-"""Milliseconds: one number, or measured ones."""
+Cost = float | Sequence[float]
+"""Milliseconds: one number, or measured ones (a tuple, or a list where JSON was read)."""
 
 FixedCosts = Mapping[str, Cost]
 
@@ -39,7 +39,7 @@ def check_costs(costs: Mapping[str, Any], source: str = "fixed costs") -> dict[s
 
 def typical_ms(cost: Cost) -> float:
     """The number itself, or the median of measured ones."""
-    return cost if isinstance(cost, float | int) else float(np.median(cost))
+    return float(np.median(cost))
 
 
 def percentile_with(samples_ms: ArrayLike, costs: FixedCosts, percent: float) -> float:
@@ -51,7 +51,7 @@ def percentile_with(samples_ms: ArrayLike, costs: FixedCosts, percent: float) ->
     values = np.asarray(samples_ms, np.float64)
     constant = 0.0
     for cost in costs.values():
-        if isinstance(cost, tuple):
+        if isinstance(cost, Sequence):
             values = np.add.outer(_thinned(values), _thinned(np.asarray(cost))).ravel()
         else:
             constant += cost
@@ -65,7 +65,7 @@ def say_costs(costs: FixedCosts) -> str:
 
 def say_cost(cost: Cost) -> str:
     """One cost for people, with its unit."""
-    measured = f" (median of {len(cost)})" if isinstance(cost, tuple) else ""
+    measured = f" (median of {len(cost)})" if isinstance(cost, Sequence) else ""
     return f"{typical_ms(cost):.4g} ms{measured}"
 
 

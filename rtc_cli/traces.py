@@ -368,7 +368,7 @@ def _add_fixed(trace: LatencyTrace, fixed_ms: FixedCosts) -> LatencyTrace:
 
 def _per_row(name: str, cost: Cost, rows: int) -> NDArray[np.float64]:
     """One value per row; measured ones are drawn in blocks, by a generator of the cost's name."""
-    if not isinstance(cost, tuple):
+    if not isinstance(cost, Sequence):
         return np.full(rows, cost)
     values = np.array(cost)
     generator = np.random.default_rng([_COST_SEED, *name.encode()])

@@ -8,7 +8,7 @@ and evaluated at the delay that follows at the control rate.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,7 +123,7 @@ def _latency(path: Path, row: Mapping[str, Any], fixed_ms: FixedCosts) -> float:
             "leave it away, or give it another name",
         )
     costs = {**own, **fixed_ms}
-    measured = any(isinstance(cost, tuple) for cost in costs.values())
+    measured = any(isinstance(cost, Sequence) for cost in costs.values())
     samples = (row.get("samples_ms") if measured else None) or [row["p95_ms"]]
     return percentile_with(samples, costs, 95)
 

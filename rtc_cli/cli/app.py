@@ -15,6 +15,7 @@ from rtc_cli.errors import RtcError, StateError, UsageError, did_you_mean
 
 EXIT_INTERRUPTED = 130
 EXIT_BROKEN_PIPE = 141  # what a shell reports for a program that SIGPIPE ended
+_OUT_OF_MEMORY = "Out of memory"  # as XLA says it
 
 COMMANDS = {
     "run": "Do the whole job: train, evaluate, profile, report.",
@@ -92,9 +93,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Start with: rtc run quickstart",
 )
-
-
-_OUT_OF_MEMORY = "Out of memory"  # as XLA says it
 
 
 def _print_version(wanted: bool) -> None:

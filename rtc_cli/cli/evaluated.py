@@ -115,7 +115,7 @@ def evaluation_tables(results: Results) -> list[RenderableType]:
     from rtc_cli.report import render
     from rtc_cli.report.losses.grids import render_losses
     from rtc_cli.report.losses.text import main_protocol
-    from rtc_cli.report.tables import ALL, pick
+    from rtc_cli.report.tables import ALL
     from rtc_cli.report.varying import constant, render_varying
 
     tables: list[RenderableType] = []
@@ -132,8 +132,6 @@ def evaluation_tables(results: Results) -> list[RenderableType]:
             tables.append(render.render_differences(gaps, protocol, task=task))
         if results.matrix and protocol != "grid":
             tables.append(render.render_matrix(results.matrix, protocol))
-    for protocol in results.protocols:
-        rows = pick(results.summary, protocol=protocol)
-        tables.extend(render_varying(rows, results.differences))
+    tables.extend(render_varying(results.summary, results.differences))
     tables.extend(render_losses(results.losses))
     return [*tables, *render.render_d90(results.d90)]

@@ -350,10 +350,10 @@ def _programs_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
 
 
 def _meaning_table(rows: Sequence[Mapping[str, Any]]) -> "RenderableType":
-    from rtc_cli.fixed_costs import check_costs, say_costs
+    from rtc_cli.fixed_costs import say_costs
 
     first = rows[0]
-    fixed = say_costs(check_costs(first["fixed_ms"])) or "none"
+    fixed = say_costs(first["fixed_ms"]) or "none"
     title = f"What it means at {first['hz']:g} Hz; fixed costs: {fixed}"
     rates = [d for d in ("1", "2", "4") if d in first["highest_hz"]]
     table = number_table(

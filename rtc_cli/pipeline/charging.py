@@ -8,7 +8,6 @@ from typing import Any
 
 from rtc_cli.analysis.charge import Charge, find_latencies, read_charges
 from rtc_cli.errors import UsageError
-from rtc_cli.fixed_costs import check_costs
 from rtc_cli.pipeline.evaluation import methods_of
 from rtc_cli.recipe import EvalConfig
 
@@ -35,7 +34,7 @@ def charged_by(config: EvalConfig, horizon: int) -> list[Charged]:
     charges = read_charges(
         find_latencies(charge.profile),
         samplers,
-        fixed_ms=check_costs(charge.fixed_ms),
+        fixed_ms=charge.fixed_ms,
         hz=charge.hz,
         rounding=charge.rounding,
     )

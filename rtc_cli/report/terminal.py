@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from rtc_cli.report.grid.tables import render_grid
 from rtc_cli.report.render import render_d90, render_differences, render_summary
 from rtc_cli.report.selection import fits_protocol
-from rtc_cli.report.tables import ALL, Row, pick
+from rtc_cli.report.tables import ALL, Row
 from rtc_cli.report.varying import constant, render_varying
 
 if TYPE_CHECKING:
@@ -24,8 +24,7 @@ def render_report(data: Mapping[str, Any]) -> "list[Table]":
     if series == "variant":
         return [*render_summary(named, series=series), *_render_gaps(rows, gaps)]
     tables = [*render_summary(constant(named)), *_render_gaps(rows, constant(gaps))]
-    for protocol in dict.fromkeys(row["protocol"] for row in named):
-        tables += render_varying(pick(named, protocol=protocol), gaps)
+    tables += render_varying(named, gaps)
     d90 = [row for row in data.get("d90", []) if "+" not in row["method"]]
     return [*tables, *render_d90(d90)]
 

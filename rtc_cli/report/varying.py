@@ -88,12 +88,18 @@ def cases_grid(rows: Sequence[Row]) -> Grid:
 
 
 def render_varying(rows: Sequence[Row], gaps: Sequence[Row]) -> "list[Table]":
-    """Return the rich tables of one protocol: success, differences, what happened to chunks.
+    """Return the rich tables: success, differences, what happened to chunks.
 
-    Of all tasks where there are several, else of the one.
+    Of each protocol and number of flow steps; of all tasks where there are several, else of the
+    one.
     """
-    if not rows:
-        return []
+    groups: dict[tuple[str, int], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["protocol"], row["flow_steps"]), []).append(row)
+    return [table for group in groups.values() for table in _render_group(group, gaps)]
+
+
+def _render_group(rows: Sequence[Row], gaps: Sequence[Row]) -> "list[Table]":
     task = _whole(rows)
     count = len({row["task"] for row in rows} - {ALL})
     what = f"mean of {count} tasks" if task == ALL else task_label(task)

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from jobs_here import run_jobs_here
 from untrained_runs import untrained_run
 
 import rtc_cli.cli.app as program
@@ -23,25 +24,9 @@ OVERRIDES = [
 ]
 
 
-class Evaluations:
-    """Runs the evaluations of a plan here, and no other job."""
-
-    def __init__(self):
-        self.names = []
-
-    def __call__(self, jobs, **settings):
-        for job in jobs:
-            if job.name.startswith("evaluate"):
-                self.names.append(job.name)
-                job.work(lambda *progress: None)
-
-
 @pytest.fixture
 def jobs(monkeypatch):
-    jobs = Evaluations()
-    monkeypatch.setattr("rtc_cli.cli.live.execute", jobs)
-    monkeypatch.delenv("RTC_DEBUG", raising=False)
-    return jobs
+    return run_jobs_here(monkeypatch, "evaluate")
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ import shlex
 import latency_law
 import numpy as np
 import pytest
+from jobs_here import run_jobs_here
 from untrained_runs import untrained_run
 
 import rtc_cli.cli.app as program
@@ -23,24 +24,9 @@ OVERRIDES = [
 ]
 
 
-class Jobs:
-    """Runs the jobs of a plan here, one after the other."""
-
-    def __init__(self):
-        self.names = []
-
-    def __call__(self, jobs, **settings):
-        for job in jobs:
-            self.names.append(job.name)
-            job.work(lambda *progress: None)
-
-
 @pytest.fixture
 def jobs(monkeypatch):
-    jobs = Jobs()
-    monkeypatch.setattr("rtc_cli.cli.live.execute", jobs)
-    monkeypatch.delenv("RTC_DEBUG", raising=False)
-    return jobs
+    return run_jobs_here(monkeypatch)
 
 
 @pytest.fixture(scope="module")

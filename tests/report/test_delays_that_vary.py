@@ -165,3 +165,18 @@ def test_long_laws_are_shown_whole(episodes):
     shown = console.file.getvalue()
     assert "…" in shown  # of intervals
     assert not re.search(r"[^\d]…|…[^\d+-]", shown)
+
+
+def test_numbers_of_flow_steps_have_tables_of_their_own(episodes):
+    """Also where constant delays, which were evaluated with another number, come first."""
+    alone = episodes[episodes.delay_model == "constant:2"].assign(flow_steps=1)
+    results = compute(pd.concat([alone, episodes], ignore_index=True))
+    titles = [str(table.title) for table in render_varying(results.every_summary, [])]
+    assert [title for title in titles if "solved" in title] == [
+        "Episodes solved (%), catcher, protocol fixed:4, 5 flow steps"
+    ]
+    both = [episodes.assign(flow_steps=steps) for steps in (1, 5)]
+    results = compute(pd.concat(both, ignore_index=True))
+    titles = [str(table.title) for table in render_varying(results.every_summary, [])]
+    assert sum("1 flow steps" in title for title in titles) == 1
+    assert sum("5 flow steps" in title for title in titles) == 1

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rtc_cli.fixed_costs import check_costs, say_costs
+from rtc_cli.fixed_costs import say_costs
 from rtc_cli.report.charge.rows import best_by_method
 from rtc_cli.report.document import Bullets, Document, Fold, Paragraph, Picture, Section
 from rtc_cli.report.render import Grid
@@ -136,7 +136,7 @@ def charge_section(content: Mapping[str, Any]) -> Section:
 
 
 def _conditions(content: Mapping[str, Any]) -> str:
-    fixed = say_costs(check_costs(content["fixed_ms"]))
+    fixed = say_costs(content["fixed_ms"])
     added = f", plus {fixed}" if fixed else ""
     return (
         f"Latencies: {content['profile']}{added}; delays are whole control steps at "

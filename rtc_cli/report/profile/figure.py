@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rtc_cli.fixed_costs import check_costs, typical_ms
+from rtc_cli.fixed_costs import typical_ms
 from rtc_cli.report.profile.published import PUBLISHED
 from rtc_cli.report.style import INK, LOOKS, MUTED, RULE, looks, new_figure, tidy
 from rtc_cli.report.tables import Row
@@ -47,7 +47,7 @@ def _measured(axes: "Axes", rows: Sequence[Row]) -> None:
     style = looks([{"plain": "naive"}.get(name, name) for name in names])
     widest = max(row["total_p95_ms"] for row in rows)
     for place, (row, look) in enumerate(zip(rows, style.values(), strict=True)):
-        fixed = {name: typical_ms(cost) for name, cost in check_costs(row["fixed_ms"]).items()}
+        fixed = {name: typical_ms(cost) for name, cost in row["fixed_ms"].items()}
         left = _stack(axes, place, fixed, widest)
         step = row["p50_ms"] / row["flow_steps"]
         for index in range(row["flow_steps"]):

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rtc_cli.fixed_costs import check_costs, say_costs
+from rtc_cli.fixed_costs import say_costs
 from rtc_cli.report.document import Bullets, Document, Picture, Section, Table
 from rtc_cli.report.figures import profile_groups
 from rtc_cli.report.profile.figure import chunk_figure
@@ -112,7 +112,7 @@ def _meaning(rows: list[Row]) -> Table:
         for row in rows
     ]
     columns = ["sampler", "p95, all (ms)", "d ceil", "d nearest", "d floor", "of the chunk"]
-    fixed = say_costs(check_costs(first["fixed_ms"])) or "none"
+    fixed = say_costs(first["fixed_ms"]) or "none"
     caption = f"What it means at {first['hz']:g} Hz; fixed costs: {fixed}"
     return Table([*columns, *(f"highest Hz for d = {d}" for d in rates)], lines, caption)
 
