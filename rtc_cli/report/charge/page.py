@@ -67,7 +67,7 @@ def charge_figure(content: Mapping[str, Any]) -> "Figure":
     names = list(dict.fromkeys(row["method"] for row in rows))
     figure = new_figure(7.4, 4.2)
     axes = figure.subplots()
-    axes.margins(x=0.07)
+    axes.margins(x=0.07, y=0.12)
     for name, look in looks(names).items():
         mine = sorted(pick(rows, method=name), key=lambda row: row["latency_ms"])
         at = [row["latency_ms"] for row in mine]
