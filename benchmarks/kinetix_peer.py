@@ -1,11 +1,14 @@
-"""The Kinetix port beside Jax2D, the engine that the levels were made for.
+"""Our Kinetix physics beside Kinetix itself: do they agree, and how fast is each?
 
-    python benchmarks/kinetix_peer.py FOLDER_OF_LEVELS [--trials 3]
+    python benchmarks/kinetix_peer.py FOLDER_OF_LEVELS --kinetix PYTHON [--rounds 5] [--json FILE]
 
-Needs Jax2D (github.com/MichaelTMatthews/Jax2D) on the Python path. Every level runs in both engines
-under the same constant actions, drawn at random, without noise. Printed: the largest difference of
-any moving shape's place and velocity after some control steps, median over the trials. Trials in
-which an episode of ours has ended by then are left out.
+PYTHON is the interpreter of an environment of its own with `pip install kinetix-env==3.0.2`. Every
+level runs in both under the same random actions (each value held for 8 control steps), 64 worlds,
+without noise. Agreement: the largest difference of any moving shape's place, over sequences that
+have not ended; the kind of end; those with ends apart. Speed: control steps a second of chunks of
+8, both on one core, one after the other in every round; medians over rounds, and of the ratios
+within a round. Kinetix steps all worlds of a batch to the end of the chunk, ours only those whose
+episode still runs: both are counted by the steps that they execute.
 """
 
 from __future__ import annotations
@@ -13,125 +16,207 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax2d.engine import PhysicsEngine, calculate_collision_matrix, create_empty_sim
-from jax2d.sim_state import SimParams, SimState, StaticSimParams
 
-from rtc_cli.tasks.batch import WorldBatch
-from rtc_cli.tasks.kinetix import load_level
-from rtc_cli.tasks.scene import SUBSTEPS, Scene, Status
-
-MARKS = (1, 3, 10, 30)
-BODY = "position rotation velocity angular_velocity inverse_mass inverse_inertia friction"
-BODY += " restitution collision_mode active n_vertices vertices radius"
-JOINT = "a_index b_index a_relative_pos b_relative_pos active motor_speed motor_power motor_on"
-JOINT += " motor_has_joint_limits min_rotation max_rotation is_fixed_joint rotation"
-THRUSTER = "object_index relative_position rotation power active"
-COUNTS = ("num_polygons", "num_circles", "num_joints", "num_thrusters")
+WORLDS, TICKS, CHUNK = 64, 256, 8
+BINDINGS = 6
+MARKS = (1, 10, 30)
+ONE_CORE = {"XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false", "NPROC": "1", "OMP_NUM_THREADS": "1"}
 
 
-def plain(value: Any) -> Any:
-    """Lists in place of objects with the keys "0", "1", and so on."""
-    return [plain(value[str(i)]) for i in range(len(value))] if isinstance(value, dict) else value
+def draw_actions(seed: int) -> np.ndarray:
+    """Actions (WORLDS, TICKS, 6): four motor bindings, two thruster bindings."""
+    random = np.random.default_rng(seed)
+    low = np.array([-1.0] * 4 + [0.0] * 2)
+    values = random.uniform(low, 1.0, (WORLDS, TICKS // CHUNK, BINDINGS))
+    return np.repeat(values, CHUNK, axis=1).astype(np.float32)
 
 
-def filled(record: Any, rows: list[dict[str, Any]], names: str) -> Any:
-    """A Jax2D record with the values of a level file's list."""
-    values = {}
-    for name in names.split():
-        old = getattr(record, name)
-        array = np.array([plain(row[name]) for row in rows]).astype(old.dtype)
-        values[name] = jnp.array(array.reshape(old.shape))
-    return record.replace(**values)
-
-
-class Peer:
-    """One level in Jax2D."""
+class Ours:
+    """One level in this project."""
 
     def __init__(self, path: Path) -> None:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        level, counts = content["env_state"], content["static_env_params"]
-        static = StaticSimParams(**{name: counts[name] for name in COUNTS})
-        state = create_empty_sim(static)
-        joints = filled(state.joint, level["joint"], JOINT)
-        self.start: SimState = state.replace(
-            polygon=filled(state.polygon, level["polygon"], BODY),
-            circle=filled(state.circle, level["circle"], BODY),
-            joint=joints,
-            thruster=filled(state.thruster, level["thruster"], THRUSTER),
-            gravity=jnp.array(plain(level["gravity"])),
-            collision_matrix=calculate_collision_matrix(static, joints),
+        from rtc_cli.tasks.batch import WorldBatch
+        from rtc_cli.tasks.kinetix import load_level
+
+        self.scene = dataclasses.replace(load_level(path), action_noise=0.0)
+        self.worlds = WorldBatch(self.scene, WORLDS)
+        names = [f"motor{i}" for i in range(4)] + [f"thruster{i}" for i in range(2)]
+        self.columns = [names.index(action.name) for action in self.scene.actions]
+
+    def play(self, actions: np.ndarray) -> dict[str, np.ndarray]:
+        """Places (WORLDS, TICKS, moving, 2), NaN after the end; kind and tick of the end."""
+        self.worlds.reset(range(WORLDS))
+        places = np.full((WORLDS, TICKS, len(self.scene.moving), 2), np.nan)
+        ends = np.full(WORLDS, TICKS)
+        for tick in range(TICKS):
+            record = self.worlds.step(actions[:, tick : tick + 1, self.columns])
+            went = record.ticks > 0
+            places[went, tick] = self.worlds.states[went][:, list(self.scene.moving), :2]
+            ends[went & (record.status != 0)] = tick + 1
+        return {"places": places, "kind": record.status, "tick": ends}
+
+    def time(self, actions: np.ndarray) -> float:
+        """Control steps a second over whole episodes."""
+        self.worlds.reset(range(WORLDS))
+        start, steps = time.perf_counter(), 0
+        for first in range(0, TICKS, CHUNK):
+            record = self.worlds.step(actions[:, first : first + CHUNK, self.columns])
+            steps += int(record.ticks.sum())
+        return steps / (time.perf_counter() - start)
+
+
+class Theirs:
+    """One level in Kinetix, in a process of its own."""
+
+    def __init__(self, python: Path, path: Path) -> None:
+        environment = {**os.environ, **ONE_CORE, "WANDB_MODE": "disabled"}
+        self._process = subprocess.Popen(
+            [str(python), __file__, "--serve", str(path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+            text=True,
         )
-        engine, params = PhysicsEngine(static), SimParams()
-        self._step = jax.jit(lambda state, action: engine.step(state, params, action)[0])
-        self.bindings = [f"motor{joint['motor_binding']}" for joint in level["joint"]]
-        self.bindings += [f"thruster{each['thruster_binding']}" for each in level["thruster"]]
 
-    def run(self, actions: dict[str, float]) -> dict[int, dict[str, np.ndarray]]:
-        """By control step of MARKS: place and velocity (4,) of every shape by its name."""
-        action = jnp.array([actions.get(name, 0.0) for name in self.bindings])
-        state, found = self.start, {}
-        for tick in range(1, max(MARKS) + 1):
-            for _ in range(SUBSTEPS):
-                state = self._step(state, action)
-            if tick in MARKS:
-                found[tick] = {
-                    f"{kind}{i}": np.array([*row, *speed])
-                    for kind, shapes in (("polygon", state.polygon), ("circle", state.circle))
-                    for i, (row, speed) in enumerate(
-                        zip(shapes.position, shapes.velocity, strict=True)
-                    )
-                }
-        return found
+    def ask(self, what: str, seed: int) -> Any:
+        """One answer of the other process."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(f"{what} {seed}\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+    def play(self, seed: int) -> dict[str, np.ndarray]:
+        """What `Ours.play` gives."""
+        with np.load(self.ask("play", seed)) as found:
+            return {name: found[name] for name in found.files}
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.communicate()
 
 
-def ours(scene: Scene, actions: dict[str, float]) -> dict[int, dict[str, np.ndarray]]:
-    """The same from this project's engine, up to the end of the episode."""
-    action = np.array([[[actions[each.name] for each in scene.actions]]], np.float32)
-    found: dict[int, dict[str, np.ndarray]] = {}
-    with WorldBatch(scene, 1) as worlds:
-        worlds.reset([0])
-        for tick in range(1, max(MARKS) + 1):
-            if worlds.step(action).status[0] != Status.RUNNING:
-                break
-            if tick in MARKS:
-                states = worlds.states[0]
-                found[tick] = {scene.bodies[i].name: states[i, :4] for i in scene.moving}
+def serve(path: str) -> None:
+    """Answer `Theirs`: runs under Kinetix' own interpreter."""
+    answers, sys.stdout = sys.stdout, sys.stderr
+    import jax
+    import jax.numpy as jnp
+    from kinetix.environment.env import make_kinetix_env
+    from kinetix.environment.spaces import ActionType, ObservationType
+    from kinetix.util.saving import load_from_json_file
+
+    state, static, params = load_from_json_file(path)
+    params = params.replace(dense_reward_scale=0.0)
+    kinds = ActionType.CONTINUOUS, ObservationType.SYMBOLIC_FLAT
+    env = make_kinetix_env(*kinds, None, params, static, auto_reset=False)
+    start = jax.tree.map(lambda x: jnp.repeat(x[None], WORLDS, 0), state)
+    masses = np.concatenate([state.polygon.inverse_mass, state.circle.inverse_mass])
+    active = np.concatenate([state.polygon.active, state.circle.active])
+    moving = np.flatnonzero(active & (masses > 0))
+
+    def step(now: Any, action: Any) -> Any:
+        _, then, reward, _, _ = env.step(jax.random.key(0), now, action, params)
+        places = jnp.concatenate([then.polygon.position, then.circle.position])[moving]
+        return then, (places, reward)
+
+    chunk = jax.jit(lambda now, actions: jax.lax.scan(jax.vmap(step), now, actions))
+    while line := sys.stdin.readline():
+        what, seed = line.split()
+        actions = jnp.array(draw_actions(int(seed)).swapaxes(0, 1))
+        began, now, found = time.perf_counter(), start, []
+        for first in range(0, TICKS, CHUNK):
+            now, seen = jax.block_until_ready(chunk(now, actions[first : first + CHUNK]))
+            found.append(seen)
+        seconds = time.perf_counter() - began
+        answer: Any = WORLDS * TICKS / seconds
+        if what == "play":
+            places, rewards = (np.concatenate([f[i] for f in found]).swapaxes(0, 1) for i in (0, 1))
+            answer = _keep(places, rewards)
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+def _keep(places: np.ndarray, rewards: np.ndarray) -> str:
+    ended = rewards != 0
+    tick = np.where(ended.any(axis=1), ended.argmax(axis=1) + 1, TICKS)
+    last = rewards[np.arange(len(rewards)), tick - 1]
+    kind = np.where(last > 0, 1, np.where(last < 0, 2, 3))
+    with tempfile.NamedTemporaryFile(suffix=".npz", delete=False) as file:
+        np.savez(file, places=places, kind=kind, tick=tick)
+    return file.name
+
+
+def agreement(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Median difference of places (m) after MARKS control steps, and how many ends are alike."""
+    apart = np.abs(ours["places"] - theirs["places"]).max(axis=(2, 3))
+    running = np.arange(TICKS) < theirs["tick"][:, None]
+    found: dict[str, Any] = {}
+    for mark in MARKS:
+        rows = running[:, mark - 1]
+        values = apart[rows, mark - 1]
+        found[f"after_{mark}"] = float(np.nanmedian(values)) if rows.any() else None
+    found["same_kind"] = int((ours["kind"] == theirs["kind"]).sum())
+    found["same_tick"] = int(
+        ((ours["kind"] == theirs["kind"]) & (ours["tick"] == theirs["tick"])).sum()
+    )
     return found
 
 
-def compare(path: Path, trials: int) -> dict[int, tuple[float, float]]:
-    """By control step: differences (m, m/s), median over the trials that got so far."""
-    scene, peer = dataclasses.replace(load_level(path), action_noise=0.0), Peer(path)
-    gaps: dict[int, list[tuple[float, float]]] = {}
-    for trial in range(trials):
-        random = np.random.default_rng(trial)
-        actions = {a.name: float(random.uniform(a.low, a.high)) for a in scene.actions}
-        mine, theirs = ours(scene, actions), peer.run(actions)
-        for tick, bodies in mine.items():
-            apart = np.array([state - theirs[tick][name] for name, state in bodies.items()])
-            place, speed = np.hypot(*apart[:, :2].T).max(), np.hypot(*apart[:, 2:].T).max()
-            gaps.setdefault(tick, []).append((float(place), float(speed)))
-    return {tick: tuple(np.median(rows, axis=0).tolist()) for tick, rows in gaps.items()}
+def compare(path: Path, python: Path, rounds: int) -> dict[str, Any]:
+    """One row: agreement and speed of a level."""
+    ours, theirs = Ours(path), Theirs(python, path)
+    row: dict[str, Any] = {"level": path.stem}
+    row |= agreement(ours.play(draw_actions(0)), theirs.play(0))
+    samples = []
+    for seed in range(1, rounds + 1):
+        pair = (ours.time(draw_actions(seed)), theirs.ask("time", seed))
+        samples.append(pair)
+    theirs.close()
+    row["ours_per_s"], row["kinetix_per_s"] = (statistics.median(s) for s in zip(*samples))  # noqa: B905
+    row["ratio"] = statistics.median(mine / other for mine, other in samples)
+    return row | {"samples": samples}
 
 
 def main() -> None:
     """Read the options, print a row per level."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--trials", type=int, default=3)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--kinetix", type=Path, help="the interpreter that has kinetix-env")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--serve", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    print("| level | " + " | ".join(f"{tick} steps" for tick in MARKS) + " |")
-    print("| --- |" + " --- |" * len(MARKS))
+    if options.serve:
+        serve(options.serve)
+        return
+    if options.folder is None or options.kinetix is None:
+        parser.error("a folder of levels and --kinetix are needed")
+    os.environ.update(ONE_CORE)
+    heads = [f"after {mark}" for mark in MARKS]
+    print("| level | " + " | ".join(heads) + " | same end | ours /s | Kinetix /s | ratio |")
+    print("| --- |" + " ---: |" * (len(MARKS) + 4))
+    rows = []
     for path in sorted(options.folder.glob("*.json")):
-        found = compare(path, options.trials)
-        cells = [f"{found[t][0]:.3f} / {found[t][1]:.2f}" if t in found else "" for t in MARKS]
+        row = compare(path, options.kinetix, options.rounds)
+        cells = ["" if row[f"after_{m}"] is None else f"{row[f'after_{m}']:.0e}" for m in MARKS]
+        cells += [f"{row['same_kind']} of {WORLDS}", f"{row['ours_per_s']:,.0f}"]
+        cells += [f"{row['kinetix_per_s']:,.0f}", f"{row['ratio']:.0f}"]
         print(f"| {path.stem} | {' | '.join(cells)} |", flush=True)
+        rows.append(row)
+        if options.json:
+            options.json.write_text(json.dumps(rows, indent=1))
+    speeds = [row["ours_per_s"] for row in rows]
+    print(f"\ngeometric mean {statistics.geometric_mean(speeds):,.0f}, least {min(speeds):,.0f}")
 
 
 if __name__ == "__main__":

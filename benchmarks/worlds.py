@@ -66,7 +66,7 @@ class PlainWorlds:
             for w, world in enumerate(self.worlds):
                 if self.touched[w]:
                     continue
-                world.tick(rates[w][tick], forces[w][tick], applied[w, tick])
+                world.tick(rates[w][tick], forces[w][tick])
                 states.append(_read(world))
                 done += 1
             np.array(states, np.float32)
@@ -85,7 +85,7 @@ class PlainWorlds:
                     for tick in range(start, start + CHUNK):
                         if self.touched[w]:
                             break
-                        world.tick(rates[w][tick], forces[w][tick], applied[w, tick])
+                        world.tick(rates[w][tick], forces[w][tick])
                         done += 1
                     states.append(_read(world))
                 np.array(states, np.float32)

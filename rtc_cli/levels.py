@@ -11,12 +11,17 @@ import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal, get_args
 
-from rtc_cli.errors import UsageError
+from rtc_cli.errors import UsageError, did_you_mean
 
 PREFIX = "kinetix:"
 SHORT_PREFIX = "kinetix-"
 SUFFIX = ".json"
+OPTION = ",observation="
+LEVELS = "{levels}"  # in a recipe's tasks: the folder of --levels
+
+Observation = Literal["compact", "symbolic"]
 
 
 def is_level(task: str) -> bool:
@@ -27,9 +32,25 @@ def is_level(task: str) -> bool:
 def level_path(task: str) -> Path:
     """The path that a level's name holds; UsageError for the home of a user who does not exist."""
     try:
-        return Path(task.removeprefix(PREFIX)).expanduser()
+        return Path(_split(task)[0]).expanduser()
     except RuntimeError as error:
         raise UsageError(f'"{task}": {error}', "write the path without ~") from error
+
+
+def level_observation(task: str) -> Observation:
+    """How a level is observed, by its name; UsageError for a kind that does not exist."""
+    return _split(task)[1]
+
+
+def _split(task: str) -> tuple[str, Observation]:
+    """The path in a level's name, and how it is observed."""
+    path, found, kind = task.removeprefix(PREFIX).rpartition(OPTION)
+    if not found:
+        return kind, "compact"
+    for known in get_args(Observation):
+        if kind == known:
+            return path, known
+    raise UsageError(f'"{task}": observation' + did_you_mean(kind, get_args(Observation)))
 
 
 def short_name(task: str) -> str:
@@ -37,23 +58,9 @@ def short_name(task: str) -> str:
     if not is_level(task):
         return task
     stem = level_path(task).name.removesuffix(SUFFIX)
-    return SHORT_PREFIX + re.sub(r"[^A-Za-z0-9_-]+", "_", stem)
-
-
-def task_label(task: str) -> str:
-    """What tables and figures call a task: levels are marked as a port."""
-    name = short_name(task)
-    return f"{name} (pymunk port)" if name.startswith(SHORT_PREFIX) else name
-
-
-def port_note(tasks: Iterable[str]) -> str:
-    """The sentence that goes with results on levels; "" where no task is one."""
-    if not any(short_name(task).startswith(SHORT_PREFIX) for task in tasks):
-        return ""
-    return (
-        "Tasks named kinetix-... are Kinetix levels in a pymunk port: their results are not "
-        "comparable with published values."
-    )
+    observation = level_observation(task)
+    end = "" if observation == "compact" else f"-{observation}"
+    return SHORT_PREFIX + re.sub(r"[^A-Za-z0-9_-]+", "_", stem) + end
 
 
 def expand(tasks: Iterable[str]) -> tuple[str, ...]:
@@ -79,12 +86,13 @@ def expand(tasks: Iterable[str]) -> tuple[str, ...]:
 def _expanded(task: str) -> list[str]:
     if task == PREFIX:
         raise UsageError(f'"{task}" names no level', "write kinetix:PATH_OR_FOLDER")
-    path = Path(os.path.normpath(level_path(task).absolute()))
+    path, observation = Path(os.path.normpath(level_path(task).absolute())), _split(task)[1]
+    end = "" if observation == "compact" else f"{OPTION}{observation}"
     if not path.is_dir():
-        return [f"{PREFIX}{path}"]
+        return [f"{PREFIX}{path}{end}"]
     files = sorted(path.glob(f"*{SUFFIX}"))
     if not files:
         raise UsageError(
             f"{path} holds no level files (*{SUFFIX})", "name a level file or another folder"
         )
-    return [f"{PREFIX}{file}" for file in files]
+    return [f"{PREFIX}{file}{end}" for file in files]

@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 from rtc_cli.errors import StateError
 from rtc_cli.files import os_error, write_bytes
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 
 # Part of every key. It stays where new columns have values that follow from the old ones.
 _KEY_VERSION = 3
@@ -55,6 +55,7 @@ EPISODE_COLUMNS: dict[str, tuple[pa.DataType, str, bool]] = {
     "episode": (_INT, "", False),
     "status": (_INT, "1 solved, 2 failed, 3 timeout, 4 invalid", False),
     "solved": (_BOOL, "", False),
+    "solved_last_substep": (_BOOL, "", True),
     "length": (_INT, "control steps", False),
     "time_to_success_s": (_FLOAT, "s", True),
     "throughput_per_min": (_FLOAT, "1/min", False),
@@ -238,8 +239,8 @@ def _read(path: Path) -> pd.DataFrame:
     except (ValueError, pa.ArrowException) as error:
         raise StateError(f"results are damaged: {path} cannot be read", hint) from error
     version = (table.schema.metadata or {}).get(b"rtc_schema", b"none").decode()
-    if version == "3":
-        return _from_version_3(table.to_pandas(), path, hint)
+    if version in _SINCE:
+        return _completed(table.to_pandas(), version, path, hint)
     if version != str(SCHEMA_VERSION) or table.schema.names != list(EPISODE_COLUMNS):
         raise StateError(
             f"results {path} have schema {version}, this version reads {SCHEMA_VERSION}", hint
@@ -247,7 +248,8 @@ def _read(path: Path) -> pd.DataFrame:
     return table.to_pandas()
 
 
-_SINCE_VERSION_3 = (
+_SINCE_4 = ("solved_last_substep",)
+_SINCE_3 = (
     "delay_model",
     "estimator",
     "on_late",
@@ -257,24 +259,32 @@ _SINCE_VERSION_3 = (
     "clipped_requests",
     "exceeded_requests",
 )
+# Older version that is read: the columns that it lacks.
+_SINCE = {"3": (*_SINCE_3, *_SINCE_4), "4": _SINCE_4}
 
 
-def _from_version_3(rows: pd.DataFrame, path: Path, hint: str) -> pd.DataFrame:
-    """Fill in what version 3 did not say: its delays were constant, and known to everybody."""
-    if list(rows.columns) != [name for name in EPISODE_COLUMNS if name not in _SINCE_VERSION_3]:
-        raise StateError(f"results {path} lack columns of schema 3", hint)
-    requests = -(-rows["length"] // rows["exec_horizon"])
-    filled = rows.assign(
-        delay_model="constant:" + rows["delay"].astype(str),
-        estimator="exact",
-        on_late="play",
-        on_exceed="play",
-        observation_lag=0,
-        dropped_chunks=0,
-        clipped_requests=0,
-        exceeded_requests=requests.where(rows["beyond_trained"], 0),
-    )
-    return filled[list(EPISODE_COLUMNS)]
+def _completed(rows: pd.DataFrame, version: str, path: Path, hint: str) -> pd.DataFrame:
+    """Fill in what an older version did not say.
+
+    In version 3 delays were constant, and known to everybody; up to version 4 no task had a second
+    rule of what is solved.
+    """
+    if list(rows.columns) != [name for name in EPISODE_COLUMNS if name not in _SINCE[version]]:
+        raise StateError(f"results {path} lack columns of schema {version}", hint)
+    rows = rows.assign(solved_last_substep=None)
+    if version == "3":
+        requests = -(-rows["length"] // rows["exec_horizon"])
+        rows = rows.assign(
+            delay_model="constant:" + rows["delay"].astype(str),
+            estimator="exact",
+            on_late="play",
+            on_exceed="play",
+            observation_lag=0,
+            dropped_chunks=0,
+            clipped_requests=0,
+            exceeded_requests=requests.where(rows["beyond_trained"], 0),
+        )
+    return rows[list(EPISODE_COLUMNS)]
 
 
 @cache
@@ -302,6 +312,7 @@ def machine_record() -> dict[str, Any]:
         "jax": _version("jax"),
         "numpy": _version("numpy"),
         "pymunk": _version("pymunk"),
+        "numba": _version("numba"),
     }
 
 

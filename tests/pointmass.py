@@ -41,6 +41,7 @@ class Record:
     obs: np.ndarray
     status: np.ndarray
     ticks: np.ndarray
+    solved_last: np.ndarray
 
 
 class PointWorlds:
@@ -79,9 +80,9 @@ class PointWorlds:
         self.state[moved, :2] += 0.3 * self.state[moved, 2:]
         self.tick[moved] += 1
         self._judge(moved)
-        return Record(
-            self.state[worlds].copy(), self.status[worlds].copy(), running.astype(np.int32)
-        )
+        status = self.status[worlds].copy()
+        ticks = running.astype(np.int32)
+        return Record(self.state[worlds].copy(), status, ticks, status == SOLVED)
 
     def _judge(self, moved: np.ndarray) -> None:
         distance = np.linalg.norm(self.state[moved, :2], axis=-1)

@@ -113,11 +113,18 @@ def test_files_are_reproducible(tmp_path: Path) -> None:
     assert ResultStore(tmp_path / "b").append("k1", rows()).read_bytes() == first
 
 
-def write_version_3(path: Path, frame: pd.DataFrame) -> None:
-    new = ("delay_model", "estimator", "on_late", "on_exceed", "observation_lag")
-    new += ("dropped_chunks", "clipped_requests", "exceeded_requests")
+SINCE_4 = ("solved_last_substep",)
+SINCE_3 = (
+    *("delay_model", "estimator", "on_late", "on_exceed", "observation_lag"),
+    *("dropped_chunks", "clipped_requests", "exceeded_requests"),
+    *SINCE_4,
+)
+
+
+def write_older(path: Path, frame: pd.DataFrame, version: int) -> None:
+    new = SINCE_3 if version == 3 else SINCE_4
     fields = [field for field in EPISODE_SCHEMA if field.name not in new]
-    schema = pa.schema(fields, metadata={"rtc_schema": "3"})
+    schema = pa.schema(fields, metadata={"rtc_schema": str(version)})
     table = pa.Table.from_pandas(frame.drop(columns=list(new)), schema, preserve_index=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(table, path, write_page_checksum=True)
@@ -127,11 +134,12 @@ def test_rows_of_version_3_are_completed(tmp_path: Path) -> None:
     given = rows().assign(
         cell="k1", delay=3, exec_horizon=4, length=[1, 4, 5, 9], beyond_trained=[True, False] * 2
     )
-    write_version_3(tmp_path / "k1.naive.paper.seed-0.parquet", given)
+    write_older(tmp_path / "k1.naive.paper.seed-0.parquet", given, 3)
     loaded = ResultStore(tmp_path).load()
     expected = given.assign(
         delay_model="constant:3", estimator="exact", on_late="play", on_exceed="play",
         observation_lag=0, dropped_chunks=0, clipped_requests=0, exceeded_requests=[1, 0, 2, 0],
+        solved_last_substep=None,
     )  # fmt: skip
     pd.testing.assert_frame_equal(loaded, expected, check_dtype=False)
     # Together with rows of this version, and written again as such.
@@ -139,12 +147,21 @@ def test_rows_of_version_3_are_completed(tmp_path: Path) -> None:
     assert len(ResultStore(tmp_path).load()) == 8
 
 
-def test_incomplete_rows_of_version_3_are_damage(tmp_path: Path) -> None:
+def test_rows_of_version_4_are_completed(tmp_path: Path) -> None:
+    given = rows().assign(cell="k1")
+    write_older(tmp_path / "k1.naive.paper.seed-0.parquet", given, 4)
+    loaded = ResultStore(tmp_path).load()
+    expected = given.assign(solved_last_substep=None)
+    pd.testing.assert_frame_equal(loaded, expected, check_dtype=False)
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_incomplete_rows_of_older_versions_are_damage(tmp_path: Path, version: int) -> None:
     path = tmp_path / "k1.naive.paper.seed-0.parquet"
-    write_version_3(path, rows().assign(cell="k1"))
+    write_older(path, rows().assign(cell="k1"), version)
     table = pq.read_table(path)
     pq.write_table(table.drop_columns(["delay"]), path, write_page_checksum=True)
-    with pytest.raises(StateError, match="lack columns of schema 3"):
+    with pytest.raises(StateError, match=f"lack columns of schema {version}"):
         ResultStore(tmp_path).load()
 
 

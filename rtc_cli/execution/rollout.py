@@ -247,7 +247,7 @@ def _rows(
     exceeded = cases["exceeded_requests"] > 0
     if timing is not None and timing.on_exceed == "clamp":
         exceeded = np.zeros_like(exceeded)
-    columns: dict[str, NDArray[np.generic] | str | float] = {
+    columns: dict[str, NDArray[np.generic] | str | float | None] = {
         "task": scene.name,
         "method": method.name,
         "checkpoint": method.checkpoint,
@@ -260,6 +260,7 @@ def _rows(
         "episode": run.episodes,
         "status": run.status.astype(np.int64),
         "solved": solved,
+        "solved_last_substep": run.solved_last if scene.last_substep_rule else None,
         "length": run.lengths,
         "scene": scene.digest,
         "beyond_trained": exceeded,

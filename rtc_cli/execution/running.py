@@ -88,6 +88,7 @@ class Rollout:
         self.executed = np.zeros((count, plan.longest, actions), np.float32)
         self.lengths = np.zeros(count, np.int64)
         self.status = np.zeros(count, np.int8)
+        self.solved_last = np.zeros(count, bool)
         self.seam_gap = np.full((count, plan.inferences), np.nan)
         self.prefix_error = np.full((count, plan.inferences), np.nan)
         # Per slot.
@@ -208,6 +209,7 @@ class Rollout:
         self.last[slots] = actions[:, :, -1]
         self.lengths[positions] += record.ticks
         self.status[positions] = record.status
+        self.solved_last[positions] = record.solved_last
         self.observed[slots] = record.obs
         running = record.status == Status.RUNNING
         self.ready.extend(slots[running].tolist())

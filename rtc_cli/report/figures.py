@@ -6,7 +6,6 @@ Shaded bands and bars are the 95% intervals of the rows they are drawn from.
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rtc_cli.levels import task_label
 from rtc_cli.report.selection import fits_protocol, method_order
 from rtc_cli.report.style import (
     INK,
@@ -52,7 +51,7 @@ def success_figure(
         1 + lines, columns, height_ratios=[3.6, *([2.0] * lines)] if lines else [1]
     )
     main = figure.add_subplot(grid[0, :])
-    only = task_label(tasks[0]) if tasks else "-"
+    only = tasks[0] if tasks else "-"
     title = f"Mean of {len(tasks)} tasks" if small else f"Task: {only}"
     style = looks(names)
     _success_panel(main, pick(rows, task=ALL), names, style, series)
@@ -61,7 +60,7 @@ def success_figure(
     for place, task in enumerate(small):
         axes = figure.add_subplot(grid[1 + place // columns, place % columns])
         _success_panel(axes, pick(rows, task=task), names, style, series)
-        tidy(axes, title=task_label(task).replace(" (", "\n("))
+        tidy(axes, title=task)
     return figure
 
 
@@ -382,7 +381,7 @@ def training_figure(curves: Sequence[Row]) -> "Figure":
             look = colours[str(curve["checkpoint"])]
             axes.plot(curve["epochs"], curve["loss"], color=look.colour, linewidth=1.3, alpha=0.85)
         axes.set_yscale("log")
-        tidy(axes, title=task_label(task).replace(" (", "\n("), x="epoch")
+        tidy(axes, title=task, x="epoch")
     _cut_first_epoch(panels[0], curves)
     for axes in panels[len(tasks) :]:
         axes.set_visible(False)

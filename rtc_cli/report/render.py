@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rtc_cli.levels import task_label
 from rtc_cli.report.selection import condition_label, fits_protocol, method_order
 from rtc_cli.report.tables import ALL, Row, pick
 from rtc_cli.report.text import difference_interval_text, interval, points
@@ -124,7 +123,7 @@ def task_by_method_grid(rows: Sequence[Row], value: Callable[[Row], str]) -> Gri
     for task in names:
         found = [pick(rows, task=task, method=method) for method in methods]
         cells = [value(match[0]) if match else "-" for match in found]
-        lines.append(["mean" if task == ALL else task_label(task), *cells])
+        lines.append(["mean" if task == ALL else task, *cells])
     return Grid(["task", *methods], lines)
 
 
@@ -229,7 +228,7 @@ def render_summary(
         for steps in sorted({row["flow_steps"] for row in mine}):
             tasks = sorted({row["task"] for row in mine} - {ALL})
             what = f"mean of {len(tasks)} tasks" if task == ALL and len(tasks) > 1 else task
-            what = task_label(tasks[0] if what == ALL else what)
+            what = tasks[0] if what == ALL else what
             title = f"Episodes solved (%), {what}, protocol {protocol}, {steps} flow steps"
             caption = "below: 95% Wilson interval, for these checkpoints"
             grid = success_grid(pick(mine, flow_steps=steps), series=series, task=task)

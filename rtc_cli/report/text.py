@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from rtc_cli.levels import port_note, task_label
 from rtc_cli.report.selection import fits_protocol
 from rtc_cli.report.tables import ALL, Row, pick
 
@@ -143,8 +142,7 @@ def answer(summary: Sequence[Row], gaps: Sequence[Row], falls: Sequence[Row]) ->
         _comparison_sentence(summary, gaps, protocols[0], baseline)
         for baseline in ("pinv", "pinv-tuned")
     ]
-    note = port_note({row["task"] for row in summary})
-    return [sentence for sentence in (*first, *comparisons, note) if sentence]
+    return [sentence for sentence in (*first, *comparisons) if sentence]
 
 
 def _fall_sentence(summary: Sequence[Row], falls: Sequence[Row], protocol: str) -> str:
@@ -166,7 +164,7 @@ def _fall_sentence(summary: Sequence[Row], falls: Sequence[Row], protocol: str) 
 def _scope(summary: Sequence[Row]) -> str:
     tasks = sorted({row["task"] for row in summary} - {ALL})
     seeds = {row["train_seed"] for row in summary} - {ALL}
-    what = f"mean of {len(tasks)} tasks" if len(tasks) > 1 else f"task {task_label(tasks[0])}"
+    what = f"mean of {len(tasks)} tasks" if len(tasks) > 1 else f"task {tasks[0]}"
     return f"{what}, {len(seeds)} training seed{'s' if len(seeds) > 1 else ''}"
 
 

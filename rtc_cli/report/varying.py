@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rtc_cli.levels import task_label
 from rtc_cli.report.render import CASES, Grid, difference_cell, rich_table, success_cell
 from rtc_cli.report.selection import delay_label, fits_protocol, method_order
 from rtc_cli.report.tables import ALL, Row, pick
@@ -102,7 +101,7 @@ def render_varying(rows: Sequence[Row], gaps: Sequence[Row]) -> "list[Table]":
 def _render_group(rows: Sequence[Row], gaps: Sequence[Row]) -> "list[Table]":
     task = _whole(rows)
     count = len({row["task"] for row in rows} - {ALL})
-    what = f"mean of {count} tasks" if task == ALL else task_label(task)
+    what = f"mean of {count} tasks" if task == ALL else task
     protocol, steps = rows[0]["protocol"], rows[0]["flow_steps"]
     tables = []
     if varying(rows):

@@ -13,7 +13,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from rtc_cli.errors import UsageError, did_you_mean
-from rtc_cli.levels import expand, is_level, level_path, short_name
+from rtc_cli.levels import expand, is_level, level_observation, level_path, short_name
 from rtc_cli.tasks.scene import Scene
 
 __all__ = ["get_task", "list_tasks"]
@@ -30,7 +30,8 @@ def list_tasks() -> tuple[str, ...]:
 def get_task(name: str) -> Scene:
     """The scene called `name`; UsageError with suggestions if there is none.
 
-    "kinetix:PATH" reads a level file; the scene's own name is then "kinetix-<file name>".
+    "kinetix:PATH" reads a level file; the scene's own name is then "kinetix-<file name>". With
+    "kinetix:PATH,observation=symbolic" it is observed as Kinetix does, and called "...-symbolic".
     """
     if not is_level(name):
         return _named(name)
@@ -42,7 +43,8 @@ def get_task(name: str) -> Scene:
         )
     from rtc_cli.tasks.kinetix import load_level
 
-    return load_level(level_path(found[0]))  # not kept: files may change
+    path, observation = level_path(found[0]), level_observation(found[0])
+    return load_level(path, observation)  # not kept: files may change
 
 
 @cache

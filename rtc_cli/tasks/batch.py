@@ -33,6 +33,7 @@ class WorldBatch:
     def __init__(self, scene: Scene, n: int, workers: int = 1, engine: EngineName = "auto") -> None:
         if n < 1 or workers < 1:
             raise UsageError(f"{n} worlds with {workers} workers: both must be at least 1.")
+        scene.prepare()
         self.scene = scene
         self.n = n
         workers = min(workers, n)

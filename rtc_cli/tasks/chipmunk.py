@@ -8,10 +8,6 @@ reference where it wants a vector; filling the arrays is all that a new chunk ne
 tick Chipmunk itself appends the states of all bodies to one shared buffer. A contact notes how
 full that buffer was, which tells world and tick.
 
-Soft motors need the velocities of every substep. Scenes that have some run in lockstep instead
-(`_Lockstep`): the torques of a whole shard are computed in NumPy, then every world's short program
-for one substep reads its own.
-
 The functions used are private to pymunk. `MISSING` names those that this installation lacks;
 unless it is empty, batches use the public interface, which a test holds bit-equal.
 """
@@ -26,8 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from rtc_cli.tasks.engine import MAX_CHUNK, SHARD_TICKS, Contact
-from rtc_cli.tasks.motors import SoftDrives
+from rtc_cli.tasks.engine import MAX_CHUNK, SHARD_TICKS, Contact, Engine, Stepped
 from rtc_cli.tasks.scene import STATE_SIZE, SUBSTEP_S, SUBSTEPS, Role, Scene, StateArray
 from rtc_cli.tasks.world import Drives, World
 
@@ -40,7 +35,6 @@ _SYMBOLS = (
     "cpBodyApplyForceAtLocalPoint",
     "cpBodySetAngle",
     "cpBodySetAngularVelocity",
-    "cpBodySetTorque",
     "cpBodySetPosition",
     "cpBodySetMoment",
     "cpBodySetVelocity",
@@ -91,7 +85,6 @@ class FastEngine:
         self._worlds = [World(scene, self._note) for _ in range(n)]
         self._programs: list[tuple[Call, ...]] = [()] * n
         self._resets: list[tuple[Call, ...]] = [()] * n
-        self._lockstep = _Lockstep.of(scene, n, self._worlds[0], self._log)
         for world in range(n):
             self._compile(world)
 
@@ -100,13 +93,8 @@ class FastEngine:
         self._start[worlds] = states
         _execute(self._resets[world] for world in worlds)
 
-    def run(self, worlds: Sequence[int], actions: StateArray) -> tuple[StateArray, list[Contact]]:
+    def run(self, worlds: Sequence[int], actions: StateArray) -> Stepped:
         """Step worlds one after the other, each through its whole chunk (T ≤ MAX_CHUNK)."""
-        if self._lockstep is not None:
-            self._touched.clear()
-            rates, forces = self._drives.rates(actions), self._drives.forces(actions)
-            states, contacts = self._lockstep.run(worlds, actions, rates, forces, self._touched)
-            return states[:, :, :, _ORDER], contacts
         rows, ticks = actions.shape[:2]
         self._rates[worlds, :ticks] = self._drives.rates(actions)
         self._forces[worlds, :ticks] = self._drives.forces(actions)
@@ -118,7 +106,8 @@ class FastEngine:
         states = log.reshape(rows, ticks, self._rows, STATE_SIZE)[:, :, :-1, _ORDER]
         per_tick = self._rows * STATE_SIZE
         steps = [(at // per_tick, role) for at, role in self._touched]
-        return states, [Contact(step // ticks, step % ticks, role) for step, role in steps]
+        contacts = [Contact(step // ticks, step % ticks, role) for step, role in steps]
+        return Stepped(states, contacts)
 
     def set_velocities(self, world: int, state: StateArray) -> None:
         """Overwrite velocities."""
@@ -129,15 +118,16 @@ class FastEngine:
         self._worlds[world] = World(self._scene, self._note)
         self._compile(world)
 
+    def copy(self, source: Engine, worlds: Sequence[int]) -> bool:
+        """Chipmunk cannot: a Space keeps more than can be read from it."""
+        return False
+
     def _note(self, role: Role) -> None:
         self._touched.append((self._log.filled, role))
 
     def _compile(self, world: int) -> None:
         handles = _Handles(self._worlds[world])
-        if self._lockstep is None:
-            self._programs[world] = tuple(self._tick_calls(handles, world))
-        else:
-            self._lockstep.compile(handles, world)
+        self._programs[world] = tuple(self._tick_calls(handles, world))
         calls = [
             *_park_calls(handles),
             *_renew_calls(handles, self._declared),
@@ -160,82 +150,6 @@ class FastEngine:
             calls += [*pushes, step] * SUBSTEPS
             calls.append((lib.cpSpaceEachBody, handles.space, *self._log.arguments))
         return calls
-
-
-class _Lockstep:
-    """Steps the worlds of a shard substep by substep, because soft motors ask for it."""
-
-    def __init__(self, scene: Scene, n: int, soft: SoftDrives, log: _SharedLog) -> None:
-        self._soft = soft
-        self._log = log
-        self._rows = len(scene.moving) + 1  # the Space's static body is logged too
-        self._rates = np.zeros((n, len(scene.motors)))
-        self._forces = np.zeros((n, len(scene.thrusters), 2))
-        self._torques = np.zeros((n, len(scene.moving)))
-        self._looks: list[tuple[Call, ...]] = [()] * n
-        self._starts: list[tuple[Call, ...]] = [()] * n
-        self._steps: list[tuple[Call, ...]] = [()] * n
-
-    @staticmethod
-    def of(scene: Scene, n: int, world: World, log: _SharedLog) -> _Lockstep | None:
-        """What a scene with soft motors needs; None for any other. `world` is one of the worlds."""
-        return None if world.soft is None else _Lockstep(scene, n, world.soft, log)
-
-    def compile(self, handles: _Handles, world: int) -> None:
-        """Make the calls of one world: log its state, set motor rates, step once."""
-        look: Call = (lib.cpSpaceEachBody, handles.space, *self._log.arguments)
-        turns = [
-            (lib.cpBodySetTorque, handles.bodies[i], self._torques[world, i, ...])
-            for i in self._soft.bodies
-        ]
-        vectors = _vectors(self._forces[world])
-        pushes = [
-            (lib.cpBodyApplyForceAtLocalPoint, body, vectors[i], point)
-            for i, (body, point) in enumerate(handles.thrusters)
-        ]
-        self._looks[world] = (look,)
-        self._starts[world] = tuple(
-            (lib.cpSimpleMotorSetRate, motor, self._rates[world, i, ...])
-            for i, motor in enumerate(handles.motors)
-        )
-        step = (lib.cpSpaceStep, handles.space, SUBSTEP_S)
-        self._steps[world] = (*turns, *pushes, step, look)
-
-    def run(
-        self,
-        worlds: Sequence[int],
-        actions: StateArray,
-        rates: StateArray,
-        forces: StateArray,
-        touched: list[tuple[int, Role]],
-    ) -> tuple[StateArray, list[Contact]]:
-        """Step worlds (m) together: logged states (m, T, bodies, 6) in Chipmunk's order, contacts.
-
-        `touched` is where contacts are noted, with how full the log was.
-        """
-        rows, ticks = actions.shape[:2]
-        states = np.empty((rows, ticks, self._rows - 1, STATE_SIZE))
-        contacts: list[Contact] = []
-        now = self._execute(worlds, self._looks)
-        for tick in range(ticks):
-            self._rates[worlds, : rates.shape[2]] = rates[:, tick]
-            self._forces[worlds] = forces[:, tick]
-            _execute(self._starts[world] for world in worlds)
-            for _ in range(SUBSTEPS):
-                self._torques[worlds] = self._soft.torques(now[:, :, _ORDER], actions[:, tick])
-                touched.clear()
-                now = self._execute(worlds, self._steps)
-                per_world = self._rows * STATE_SIZE
-                contacts += [Contact(at // per_world, tick, role) for at, role in touched]
-            states[:, tick] = now
-        return states, contacts
-
-    def _execute(self, worlds: Sequence[int], programs: list[tuple[Call, ...]]) -> StateArray:
-        """Run programs that log once per world: what they logged (m, moving, 6), until the next."""
-        self._log.clear()
-        _execute(programs[world] for world in worlds)
-        log = self._log.values(len(worlds) * self._rows * STATE_SIZE)
-        return log.reshape(len(worlds), self._rows, STATE_SIZE)[:, :-1]
 
 
 class _Handles:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from rtc_cli.tasks.scene import STATE_SIZE, Role, Scene, StateArray
 from rtc_cli.tasks.world import Drives, World
@@ -24,23 +25,35 @@ class Contact(NamedTuple):
     role: Role
 
 
+class Stepped(NamedTuple):
+    """What m worlds did in T control steps.
+
+    states (m, T, moving, 6), valid until the next call; contacts; solved_last (m, T): whether the
+    last substep of a control step solves the episode, None where the physics has no such rule.
+    """
+
+    states: StateArray
+    contacts: list[Contact]
+    solved_last: npt.NDArray[np.bool_] | None = None
+
+
 class Engine(Protocol):
     """Physics of n worlds of one scene; states are (moving bodies, 6), float64."""
 
     def reset(self, worlds: Sequence[int], states: StateArray) -> None:
         """Start worlds (m) from states (m, moving, 6), as if their Spaces were new."""
 
-    def run(self, worlds: Sequence[int], actions: StateArray) -> tuple[StateArray, list[Contact]]:
-        """Step worlds (m) under applied actions (m, T, A): states (m, T, moving, 6), contacts.
-
-        T ≤ MAX_CHUNK and m · T ≤ SHARD_TICKS. The returned states are valid until the next call.
-        """
+    def run(self, worlds: Sequence[int], actions: StateArray) -> Stepped:
+        """Step worlds (m) under applied actions (m, T, A); T ≤ MAX_CHUNK, m · T ≤ SHARD_TICKS."""
 
     def set_velocities(self, world: int, state: StateArray) -> None:
         """Overwrite the velocities of a running world with those in `state`."""
 
     def rebuild(self, world: int) -> None:
-        """Throw the Space of a world away and make a new one."""
+        """Throw away what a world that broke has left behind."""
+
+    def copy(self, source: Engine, worlds: Sequence[int]) -> bool:
+        """Take over worlds exactly as they are in `source`; False where that cannot be done."""
 
 
 class PublicEngine:
@@ -61,7 +74,7 @@ class PublicEngine:
             self._worlds[world] = self._new()
             self._worlds[world].place(state)
 
-    def run(self, worlds: Sequence[int], actions: StateArray) -> tuple[StateArray, list[Contact]]:
+    def run(self, worlds: Sequence[int], actions: StateArray) -> Stepped:
         """Step world by world, tick by tick."""
         rates = self._drives.rates(actions).tolist()
         forces = self._drives.forces(actions).tolist()
@@ -72,10 +85,10 @@ class PublicEngine:
             world = self._worlds[index]
             for tick in range(actions.shape[1]):
                 self._touched.clear()
-                world.tick(rates[row][tick], forces[row][tick], actions[row, tick])
+                world.tick(rates[row][tick], forces[row][tick])
                 world.read(log[row, tick])
                 contacts += [Contact(row, tick, role) for role in self._touched]
-        return log, contacts
+        return Stepped(log, contacts)
 
     def set_velocities(self, world: int, state: StateArray) -> None:
         """Overwrite velocities."""
@@ -84,3 +97,7 @@ class PublicEngine:
     def rebuild(self, world: int) -> None:
         """Make a new Space."""
         self._worlds[world] = self._new()
+
+    def copy(self, source: Engine, worlds: Sequence[int]) -> bool:
+        """Pymunk cannot: a Space keeps more than can be read from it."""
+        return False

@@ -31,9 +31,12 @@ EngineName = Literal["auto", "fast", "public"]
 
 
 def make_engine(name: EngineName, scene: Scene, n: int) -> Engine:
-    """The engine `name`; "auto" is "fast" where this pymunk has what that needs."""
+    """The scene's own engine, or `name`; "auto" is "fast" where this pymunk has what that needs."""
     if name not in get_args(EngineName):
         raise UsageError(f'unknown engine "{name}".' + did_you_mean(name, get_args(EngineName)))
+    own = scene.own_engine(n)
+    if own is not None:
+        return own
     if name == "fast" and chipmunk.MISSING:
         lacking = ", ".join(chipmunk.MISSING)
         raise UsageError(f'engine "fast" needs {lacking}, which this pymunk lacks; use "public".')
@@ -47,12 +50,14 @@ class Record:
     """What a call of `step` returns, one row per world that was asked.
 
     obs (m, O) float32 after the last executed tick; status (m,) int8, see `Status`;
-    ticks (m,) int32 executed by this call (0 for worlds that had finished before).
+    ticks (m,) int32 executed by this call (0 for worlds that had finished before);
+    solved_last (m,) whether the last substep solves the episode (`Scene.last_substep_rule`).
     """
 
     obs: FloatArray
     status: npt.NDArray[np.int8]
     ticks: npt.NDArray[np.int32]
+    solved_last: Flags
 
 
 class _Outcome(NamedTuple):
@@ -83,6 +88,7 @@ class LocalBatch:
         self.states = np.repeat(scene.declared_states[None], n, axis=0)
         self.status = np.full(n, Status.TIMEOUT, np.int8)
         self.tick = np.zeros(n, np.int32)
+        self.solved_last = np.zeros(n, bool)
         self._start = self.states.copy()
         self._careful = np.zeros(n, bool)
         self._noise = np.zeros((n, scene.max_ticks, scene.action_dim))
@@ -98,6 +104,7 @@ class LocalBatch:
         self.states[worlds] = states
         self.status[worlds] = Status.RUNNING
         self.tick[worlds] = 0
+        self.solved_last[worlds] = False
         self._careful[worlds] = False
         self._engine.reset(worlds.tolist(), states[:, self._moving])
         return self.scene.observe(states)
@@ -112,14 +119,16 @@ class LocalBatch:
                 with np.errstate(invalid="ignore", over="ignore"):  # worlds may become NaN
                     self._step_shard(piece[at : at + rows], worlds[at : at + rows])
         ticks = self.tick[worlds] - before
-        return Record(self.scene.observe(self.states[worlds]), self.status[worlds], ticks)
+        obs = self.scene.observe(self.states[worlds])
+        return Record(obs, self.status[worlds], ticks, self.solved_last[worlds])
 
     def predict(self, actions: FloatArray, worlds: Index) -> FloatArray:
         """What worlds (m,) would show after actions (m, T, A) without noise: obs (m, O).
 
-        Scratch worlds repeat the episodes up to now, which also gives them the contacts and the
-        solver's cached impulses: bodies' states alone predict badly where motors bear weight on
-        contacts. The worlds themselves stay as they are.
+        Scratch worlds are copies where the physics can copy. Else they repeat the episodes up to
+        now, which also gives them the contacts and the solver's cached impulses: bodies' states
+        alone predict badly where motors bear weight on contacts. The worlds themselves stay as
+        they are.
         """
         states = self.states[worlds]
         running = np.flatnonzero(self.status[worlds] == Status.RUNNING)
@@ -134,10 +143,11 @@ class LocalBatch:
         self, actions: StateArray, worlds: Index, rows: Index, states: StateArray
     ) -> None:
         """Advance `states[rows]` through their actions, each to the tick that ends it at most."""
-        self._retrace(worlds[rows])
+        if not self._scratch.copy(self._engine, worlds[rows].tolist()):
+            self._retrace(worlds[rows])
         for first in range(0, actions.shape[1], MAX_CHUNK):
             piece = actions[rows, first : first + MAX_CHUNK]
-            log, contacts = self._scratch.run(worlds[rows].tolist(), piece)
+            log, contacts, _ = self._scratch.run(worlds[rows].tolist(), piece)
             end, status, _, broken = self._read(log, contacts)
             _mend(self._scratch, worlds[rows[broken]])
             last = np.minimum(end, log.shape[1] - 1)
@@ -157,8 +167,7 @@ class LocalBatch:
             for ticks in np.unique(count[count > 0]).tolist():
                 rows = np.flatnonzero(count == ticks)
                 applied = self._applied[worlds[rows], first : first + ticks]
-                log, _ = self._scratch.run(worlds[rows].tolist(), applied)
-                reached[rows] = log[:, -1]
+                reached[rows] = self._scratch.run(worlds[rows].tolist(), applied).states[:, -1]
         present = self.states[worlds][:, self._moving]
         astray = np.flatnonzero(_any(reached != present, (1, 2)))
         if len(astray):
@@ -202,11 +211,14 @@ class LocalBatch:
         noisy = actions + self._noise[worlds[:, None], at]
         applied = np.clip(noisy, self._low, self._high)
         self._applied[worlds[:, None], at] = applied
-        log, contacts = self._engine.run(worlds.tolist(), applied)
+        log, contacts, solved_last = self._engine.run(worlds.tolist(), applied)
         end, status, fast, broken = self._read(log, contacts)
         _mend(self._engine, worlds[broken])
         again = fast < np.minimum(end, actions.shape[1] - 1)
         self._settle(log, end, status, worlds, ~again)
+        if solved_last is not None:
+            ended = np.flatnonzero(end < actions.shape[1])
+            self.solved_last[worlds[ended]] = solved_last[ended, end[ended]]
         for row in np.flatnonzero(again).tolist():
             world = worlds[row : row + 1]
             self._replay(world)
@@ -226,7 +238,7 @@ class LocalBatch:
         start = self._start[world][:, self._moving]
         self._engine.reset(world.tolist(), start)
         for tick in range(done):
-            log, _ = self._engine.run(world.tolist(), self._applied[world, tick : tick + 1])
+            log = self._engine.run(world.tolist(), self._applied[world, tick : tick + 1]).states
             self._clamp(log[:, 0], world)
 
     def _read(self, log: StateArray, contacts: Sequence[Contact]) -> _Outcome:

@@ -15,7 +15,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from rtc_cli.files import write_bytes
-from rtc_cli.levels import task_label
 from rtc_cli.tasks.drawing import (
     BACKGROUND,
     FAINT,
@@ -164,7 +163,7 @@ def _heading(scene: Scene, traces: Sequence[Trace], width: int) -> Image.Image:
     image = Image.new("RGB", (width, 84 if chunked else 62), WHITE)
     draw = ImageDraw.Draw(image)
     captions = "  |  ".join(trace.caption for trace in traces)
-    name = task_label(scene.name)
+    name = scene.name
     draw.text((4, 8), f"{name}: {captions}" if captions else name, INK, font(17))
     x = 4.0
     for role, name in ROLE_NAMES.items():

@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,9 @@ import numpy.typing as npt
 from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.tasks.measuring import COMPONENTS, apply_jitter, values
 from rtc_cli.tasks.scene_checks import check_scene
+
+if TYPE_CHECKING:
+    from rtc_cli.tasks.engine import Engine
 
 WORLD = "world"
 NOTHING = 0  # collision mask of what touches nothing
@@ -207,22 +210,6 @@ class Body:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Weighed(Body):
-    """A body of given mass (kg) and moment of inertia (kg·m²) instead of those of its shapes.
-
-    Its centre of gravity is its origin; the shapes' densities have no effect.
-    """
-
-    mass: float
-    moment: float
-
-    @property
-    def centre(self) -> Vec:
-        """Centre of gravity, local to the body."""
-        return (0.0, 0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Joint:
     """Common part of all joints between bodies `a` and `b`; `collide` lets the two touch."""
 
@@ -297,27 +284,6 @@ class Motor:
     action: str
     max_rate: float
     max_torque: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class TanhMotor:
-    """A soft drive of ω_b − ω_a towards action · max_rate (rad/s); free at action 0.
-
-    Per substep it turns `b` by the torque −gain · m · tanh(softness · (ω_b − ω_a − action ·
-    max_rate)) and `a` by the opposite, with m = 1 / (1/I_a + 1/I_b): gain in rad/s², softness in
-    s/rad. It has no limit of its own but the tanh. With `limits` (on angle(b) − angle(a), absolute)
-    the torque falls to 0 over the last `fade` radians of the way to the limit that the command
-    points to. Several motors may share an action. Source: the motors of the Kinetix simulator.
-    """
-
-    a: str
-    b: str
-    action: str
-    max_rate: float
-    gain: float
-    softness: float = 0.1
-    limits: tuple[float, float] | None = None
-    fade: float = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -463,7 +429,7 @@ class Scene:
     actions: tuple[Action, ...]
     observations: tuple[Observe, ...]
     joints: tuple[Joint, ...] = ()
-    motors: tuple[Motor | TanhMotor, ...] = ()
+    motors: tuple[Motor, ...] = ()
     thrusters: tuple[Thruster, ...] = ()
     jitters: tuple[Jitter, ...] = ()
     progress_terms: tuple[Distance | Along, ...] = ()
@@ -479,8 +445,18 @@ class Scene:
     description: str = field(default="", metadata={"looks": True})
     view: tuple[float, float, float, float] | None = field(default=None, metadata={"looks": True})
 
+    last_substep_rule: ClassVar[bool] = False
+    """Whether `solved` also exists by another rule: only the last substep counts."""
+
     def __post_init__(self) -> None:
         check_scene(self)
+
+    def prepare(self) -> None:
+        """Do, once per machine, what worlds of this scene need: compile their physics, say."""
+
+    def own_engine(self, n: int) -> Engine | None:
+        """Physics of n worlds, for a kind of scene that has its own; None is pymunk's."""
+        return None
 
     @property
     def goal(self) -> str:

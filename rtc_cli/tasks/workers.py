@@ -51,6 +51,7 @@ class _Memory:
         self.worlds, self.seeds = arrays["worlds"], arrays["seeds"]
         self.actions, self.obs = arrays["actions"], arrays["obs"]
         self.status, self.ticks = arrays["status"], arrays["ticks"]
+        self.solved_last = arrays["solved_last"]
         self.states, self.push = arrays["states"], arrays["push"]
 
     @staticmethod
@@ -62,6 +63,7 @@ class _Memory:
             "obs": ((n, scene.obs_dim), np.float32),
             "status": ((n,), np.int8),
             "ticks": ((n,), np.int32),
+            "solved_last": ((n,), np.bool_),
             "states": ((n, len(scene.bodies), STATE_SIZE), np.float64),
             "push": ((n, len(scene.bodies), 3), np.float64),
         }
@@ -118,7 +120,8 @@ class ProcessBatch:
             memory.actions[:m, : piece.shape[1]] = piece
             self._ask("step", m, piece.shape[1])
             executed += memory.ticks[:m]
-        return Record(memory.obs[:m].copy(), memory.status[:m].copy(), executed)
+        solved_last = memory.solved_last[:m].copy()
+        return Record(memory.obs[:m].copy(), memory.status[:m].copy(), executed, solved_last)
 
     def predict(self, actions: FloatArray, worlds: Index) -> FloatArray:
         """Look ahead without noise; see `LocalBatch.predict`."""
@@ -246,4 +249,5 @@ def _serve_one(
             shared.obs[mine] = record.obs
             shared.status[mine] = record.status
             shared.ticks[mine] = record.ticks
+            shared.solved_last[mine] = record.solved_last
     shared.states[worlds] = batch.states[local]

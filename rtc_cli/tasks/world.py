@@ -13,10 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import pymunk
 
-from rtc_cli.tasks.motors import SoftDrives
 from rtc_cli.tasks.scene import (
     SOLVER_ITERATIONS,
-    STATE_SIZE,
     SUBSTEP_S,
     SUBSTEPS,
     WORLD,
@@ -26,7 +24,6 @@ from rtc_cli.tasks.scene import (
     Fixed,
     Groove,
     Joint,
-    Motor,
     Pivot,
     Polygon,
     Role,
@@ -37,7 +34,6 @@ from rtc_cli.tasks.scene import (
     Spring,
     StateArray,
     Vec,
-    Weighed,
 )
 
 # Chipmunk lets shapes overlap this far (its default of 0.1 is meant for pixels, not metres).
@@ -59,13 +55,12 @@ class Drives:
     def of(scene: Scene) -> Drives:
         """Precompute the tables for a scene."""
         index = {action.name: i for i, action in enumerate(scene.actions)}
-        motors = [m for m in scene.motors if isinstance(m, Motor)]
         units = [np.array(t.direction) / math.hypot(*t.direction) for t in scene.thrusters]
         forces = [t.max_force * u for t, u in zip(scene.thrusters, units, strict=True)]
         return Drives(
-            np.array([index[m.action] for m in motors], np.intp),
+            np.array([index[m.action] for m in scene.motors], np.intp),
             # Chipmunk's motor drives ω_b − ω_a to −rate.
-            np.array([-m.max_rate for m in motors], np.float64),
+            np.array([-m.max_rate for m in scene.motors], np.float64),
             np.array([index[t.action] for t in scene.thrusters], np.intp),
             np.array(forces, np.float64).reshape(len(scene.thrusters), 2),
         )
@@ -96,13 +91,11 @@ class World:
         self.bodies = [placed[body.name] for body in scene.bodies if not body.static]
         for joint in scene.joints:
             self.space.add(*_constraints(placed, joint))
-        motors = [m for m in scene.motors if isinstance(m, Motor)]
-        self.motors = [pymunk.SimpleMotor(placed[m.a], placed[m.b], 0.0) for m in motors]
-        for motor, declared in zip(self.motors, motors, strict=True):
+        self.motors = [pymunk.SimpleMotor(placed[m.a], placed[m.b], 0.0) for m in scene.motors]
+        for motor, declared in zip(self.motors, scene.motors, strict=True):
             motor.max_force = declared.max_torque
             self.space.add(motor)
         self.thrusters = [(placed[t.body], t.point) for t in scene.thrusters]
-        self.soft = SoftDrives.of(scene, [body.moment for body in self.bodies])
         for role in (Role.TARGET, Role.HAZARD):
             self._watch(role, on_contact)
 
@@ -127,25 +120,14 @@ class World:
             body.velocity = (row[2], row[3])
             body.angular_velocity = row[5]
 
-    def tick(self, rates: list[float], forces: list[Vec], action: StateArray) -> None:
-        """One control step under motor rates, local thruster forces and the applied action (A,)."""
+    def tick(self, rates: list[float], forces: list[Vec]) -> None:
+        """One control step under motor rates and local thruster forces."""
         for motor, rate in zip(self.motors, rates, strict=True):
             motor.rate = rate
         for _ in range(SUBSTEPS):
-            self._drive_softly(action)
             for (body, point), force in zip(self.thrusters, forces, strict=True):
                 body.apply_force_at_local_point(force, point)
             self.space.step(SUBSTEP_S)
-
-    def _drive_softly(self, action: StateArray) -> None:
-        """Set the torques of the soft motors, which follow from the velocities of this substep."""
-        if self.soft is None:
-            return
-        state = np.empty((1, len(self.bodies), STATE_SIZE))
-        self.read(state[0])
-        torques = self.soft.torques(state, action[None])[0].tolist()
-        for i in self.soft.bodies:
-            self.bodies[i].torque = torques[i]
 
     def read(self, out: StateArray) -> None:
         """Write the states of the moving bodies to `out` (moving bodies, 6)."""
@@ -162,14 +144,11 @@ def _add_body(space: pymunk.Space, declared: Body) -> pymunk.Body:
         space.add(*(_shape(space.static_body, shape, turn) for shape in declared.shapes))
         return space.static_body
     body = pymunk.Body()
-    if isinstance(declared, Weighed):
-        body.mass, body.moment = declared.mass, declared.moment
     body.angle = declared.angle
     body.position = declared.position
     shapes = [_shape(body, shape, lambda point: point) for shape in declared.shapes]
-    if not isinstance(declared, Weighed):
-        for made, shape in zip(shapes, declared.shapes, strict=True):
-            made.density = shape.density
+    for made, shape in zip(shapes, declared.shapes, strict=True):
+        made.density = shape.density
     space.add(body, *shapes)
     if not declared.rotates:
         body.moment = math.inf

@@ -94,6 +94,7 @@ def cell(
         "episode": np.arange(first_episode, first_episode + n),
         "status": np.where(outcome, 1, 2),
         "solved": outcome,
+        "solved_last_substep": None,
         "length": 40 + (np.arange(n) % 30),
         "time_to_success_s": np.where(outcome, (40 + np.arange(n) % 30) / 30.0, np.nan),
         "throughput_per_min": np.where(outcome, 40.0, 0.0),

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rtc_cli.levels import task_label
 from rtc_cli.report import sections
 from rtc_cli.report.document import Block, Document, Fold, Note, Paragraph, Picture, Section
 from rtc_cli.report.grid.figures import grid_figure
@@ -105,7 +104,7 @@ def _results(
     shown = [ALL] if len(tasks) > 1 and pick(found, task=ALL, **cell) else []
     blocks: list[Block] = []
     for task in [*shown, *tasks]:
-        name = f"mean of {len(tasks)} tasks" if task == ALL else f"task {task_label(task)}"
+        name = f"mean of {len(tasks)} tasks" if task == ALL else f"task {task}"
         label = f"Success and differences at d = {cell['delay']}, {name}"
         picture = f"grid-{protocol.replace(':', '-')}-{task}"
         drawing = grid_figure(mine, found, grid.factors, cell, task=task)
@@ -126,7 +125,7 @@ def _table(
     cell: dict[str, int],
     task: str,
 ) -> Block:
-    where = "mean of the tasks" if task == ALL else f"task {task_label(task)}"
+    where = "mean of the tasks" if task == ALL else f"task {task}"
     caption = (
         f"At d = {cell['delay']}, s = {cell['exec_horizon']}, {where}: episodes solved (%), "
         "differences in points. Bold: the interval excludes 0. "

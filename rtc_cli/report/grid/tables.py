@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from rtc_cli.levels import task_label
 from rtc_cli.report.grid.rows import PAIRS, last_cell
 from rtc_cli.report.grid.text import SHORT_NAMES, factor_name, value_text
 from rtc_cli.report.render import Grid, rich_table
@@ -77,7 +76,7 @@ def render_grid(data: Mapping[str, Any]) -> "list[Table]":
     cell = last_cell(gaps, protocol)
     mine = pick(rows, protocol=protocol)
     tasks = sorted({row["task"] for row in mine} - {ALL})
-    where = f"mean of {len(tasks)} tasks" if len(tasks) > 1 else task_label(tasks[0])
+    where = f"mean of {len(tasks)} tasks" if len(tasks) > 1 else tasks[0]
     title = f"Episodes solved (%) at d = {cell['delay']}, s = {cell['exec_horizon']}, {where}"
     table = settings_grid(mine, gaps, data["settings"], cell, pairs=PAIRS[:2])
     narrow = [name.replace(" ", "\n", 1) for name in table.columns]  # 80 columns have to do

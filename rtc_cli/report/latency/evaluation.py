@@ -6,7 +6,6 @@ Rows are those of `eval`: means per episode under delays that vary as in the tra
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rtc_cli.levels import task_label
 from rtc_cli.report.document import Block, Code, Paragraph, Picture, Section
 from rtc_cli.report.render import Grid, difference_cell, success_cell, task_by_method_grid
 from rtc_cli.report.sections import CONTROL_HZ, as_table
@@ -49,7 +48,7 @@ def _how(data: Data) -> str:
 def _where(data: Data) -> str:
     tasks = _tasks(data["evaluation"])
     seeds = {row["train_seed"] for row in data["evaluation"]} - {ALL}
-    what = f"mean of {len(tasks)} tasks" if len(tasks) > 1 else task_label(tasks[0])
+    what = f"mean of {len(tasks)} tasks" if len(tasks) > 1 else tasks[0]
     return f"{data['run']}: {what}, {len(seeds)} training seed{'s' if len(seeds) > 1 else ''}"
 
 

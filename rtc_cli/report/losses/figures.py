@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rtc_cli.levels import task_label
 from rtc_cli.report.figures import success_panel
 from rtc_cli.report.losses.grids import by_class
 from rtc_cli.report.selection import method_order
@@ -99,7 +98,7 @@ def _places(names: Sequence[str], classes: Mapping[str, str]) -> tuple[list[floa
     for place, task in enumerate(names):
         gap = place > 0 and classes.get(task) != classes.get(names[place - 1])
         places.append((places[-1] + 1 + 0.45 * gap) if places else 0.0)
-    labels = ["mean" if t == ALL else task_label(t).replace(" (", "\n(") for t in names]
+    labels = ["mean" if t == ALL else t for t in names]
     return places, labels
 
 

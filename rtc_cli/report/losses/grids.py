@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from rtc_cli.levels import task_label
 from rtc_cli.report.losses.costs import CLASSES, DIFFERENT, INSENSITIVE, NAIVE
 from rtc_cli.report.losses.text import control_alarms
 from rtc_cli.report.render import Grid, rich_table
@@ -44,7 +43,7 @@ def costs_grid(rows: Sequence[Row], classes: Mapping[str, str], delay: int) -> G
     mine = {row["task"]: row for row in pick(rows, delay=delay)}
     tasks = by_class([task for task in mine if task != ALL], classes)
     lines = [
-        [task_label(task), classes.get(task, "-").removesuffix("-limited"), *_levels(mine[task])]
+        [task, classes.get(task, "-").removesuffix("-limited"), *_levels(mine[task])]
         for task in tasks
     ]
     if ALL in mine and len(tasks) > 1:
@@ -85,7 +84,7 @@ def recovered_grid(rows: Sequence[Row], delay: int, classes: Mapping[str, str]) 
     names = [*tasks, ALL] if len(tasks) > 1 and pick(mine, task=ALL) else tasks
     lines = [
         [
-            "mean" if task == ALL else task_label(task),
+            "mean" if task == ALL else task,
             *(_recovered(pick(mine, task=task, method=method)) for method in methods),
         ]
         for task in names
@@ -124,7 +123,7 @@ def classes_grid(classes: Sequence[Row], protocol: str) -> Grid:
     order = by_class(list(mine), classes_of(classes, protocol))
     lines = [
         [
-            task_label(task),
+            task,
             mine[task]["class"],
             f"d={mine[task]['delay']}",
             _cost(mine[task], "delay_cost"),
@@ -141,7 +140,7 @@ def control_grid(rows: Sequence[Row]) -> Grid:
     delays = sorted({row["delay"] for row in rows})
     lines = []
     for task, method in dict.fromkeys((row["task"], row["method"]) for row in rows):
-        line = [task_label(task), f"{method} − {NAIVE}"]
+        line = [task, f"{method} − {NAIVE}"]
         for delay in delays:
             found = pick(rows, task=task, method=method, delay=delay)
             line.append(_control(found[0]) if found else "-")
@@ -181,7 +180,7 @@ def _render_protocol(
         found.append(rich_table(grid, title, ADD_UP))
     tasks = sorted({row["task"] for row in costs} - {ALL})
     task = ALL if len(tasks) > 1 and pick(costs, task=ALL) else tasks[0]
-    what = f"mean of {len(tasks)} tasks" if task == ALL else task_label(task)
+    what = f"mean of {len(tasks)} tasks" if task == ALL else task
     title = f"Where success is lost (points), {what}, protocol {protocol}"
     found.append(rich_table(costs_by_delay_grid(costs, task=task), title))
     if shares:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from rtc_cli.levels import task_label
 from rtc_cli.report.document import Block, Fold, Note, Paragraph, Picture, Section, Table
 from rtc_cli.report.losses import figures as loss_figures
 from rtc_cli.report.losses.costs import DIFFERENT, EQUAL, FLOOR, MARGIN
@@ -142,7 +141,7 @@ def _control_blocks(results: Results) -> list[Block]:
                 "task on which all methods must come out equal."
             )
         ]
-    names = ", ".join(dict.fromkeys(task_label(row["task"]) for row in results.controls))
+    names = ", ".join(dict.fromkeys(row["task"] for row in results.controls))
     counts = {v: sum(row["verdict"] == v for row in results.controls) for v in (EQUAL, DIFFERENT)}
     text = (
         f"**Negative control** ({names}): delay costs nothing there, so no method may win or lose. "

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-from rtc_cli.levels import task_label
 from rtc_cli.report.losses.costs import CLASSES, DIFFERENT
 from rtc_cli.report.selection import fits_protocol, fixed_protocols, method_order
 from rtc_cli.report.tables import ALL, Row, pick
@@ -86,7 +85,7 @@ def _class_sentence(classes: Sequence[Row]) -> str:
     for name in CLASSES:
         tasks = sorted(row["task"] for row in pick(classes, **{"class": name}))
         if tasks:
-            groups.append(f"{len(tasks)} {name} ({', '.join(map(task_label, tasks))})")
+            groups.append(f"{len(tasks)} {name} ({', '.join(tasks)})")
     cell = classes[0]
     return f"Why delay hurts, at s = {cell['exec_horizon']}: {'; '.join(groups)}."
 
@@ -136,7 +135,7 @@ def _list(rows: Sequence[Row], kinds: Mapping[str, str]) -> str:
     texts = []
     for row in sorted(rows, key=lambda row: abs(row["difference"]), reverse=True):
         kind = f", {kinds[row['task']]}" if row["task"] in kinds else ""
-        texts.append(f"{task_label(row['task'])} ({points(row['difference'], sign=True)}{kind})")
+        texts.append(f"{row['task']} ({points(row['difference'], sign=True)}{kind})")
     return ", ".join(texts)
 
 
@@ -146,7 +145,7 @@ def control_alarms(controls: Sequence[Row]) -> list[str]:
     for row in controls:
         if row["verdict"] == DIFFERENT:
             found.append(
-                f"NEGATIVE CONTROL BROKEN: on the insensitive task {task_label(row['task'])}, "
+                f"NEGATIVE CONTROL BROKEN: on the insensitive task {row['task']}, "
                 f"{row['method']} differs from naive by "
                 f"{points(row['difference'], sign=True)} points "
                 f"{interval(row['low'], row['high'], sign=True)} at d = {row['delay']}, "

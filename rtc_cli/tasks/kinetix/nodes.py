@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from rtc_cli.errors import UsageError
+from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.tasks.scene import Vec
 
 MAX_BYTES = 20_000_000
@@ -61,6 +61,17 @@ class Node:
             where = f" in {self.place}" if self.place else ""
             raise UsageError(f'{self._file}: "{key}" is missing{where}', HINT)
         return Node(self._file, f"{self.place}.{key}".lstrip("."), self._value[key])
+
+    def only(self, *keys: str) -> None:
+        """Refuse an object that holds a key that is none of `keys`."""
+        if not isinstance(self._value, dict):
+            self.refuse("an object with named values is needed")
+        for key in self._value:
+            if key not in keys:
+                where = f" in {self.place}" if self.place else ""
+                raise UsageError(
+                    f'{self._file}: unknown key "{key}"{where}.' + did_you_mean(key, keys), HINT
+                )
 
     def entries(self, low: int, high: int) -> list[Node]:
         """The members of a list, or of an object with the keys "0", "1", and so on."""
