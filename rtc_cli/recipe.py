@@ -27,7 +27,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.files import os_error
-from rtc_cli.levels import expand
+from rtc_cli.levels import LEVELS, expand, short_name
 from rtc_cli.units import Rounding, parse_delays
 
 Mask = Literal["exp", "linear", "zeros", "ones"]
@@ -113,8 +113,25 @@ class DelayConfig(Section):
         return self
 
 
+class ExpertChanges(Section):
+    """What differs for the experts of one task; None is as in `[experts]`."""
+
+    max_steps: Positive | None = None
+    target_success: Share | None = None
+    progress_scale: NonNegativeFloat | None = None
+    solved_reward: NonNegativeFloat | None = None
+    failure_cost: NonNegativeFloat | None = None
+    noise_correlation: Annotated[float, Field(ge=0, lt=1)] | None = None
+
+
 class ExpertsConfig(Section):
-    """PPO experts whose mixture makes the data."""
+    """PPO experts whose mixture makes the data.
+
+    `progress_scale`: reward per metre of progress, in place of the task's own; `solved_reward`,
+    `failure_cost`: at the end of an episode. `noise_correlation`: of the exploration noise from one
+    control step to the next, 0 is white; a task that needs one motion held for many steps is hardly
+    ever solved by white noise. `by_task` changes some of these for tasks, by their short names.
+    """
 
     seeds: Seeds = (0, 1)
     worlds: Positive = 256
@@ -131,6 +148,11 @@ class ExpertsConfig(Section):
     rpo_alpha: NonNegativeFloat = 0.3
     hidden: tuple[Positive, ...] = (128, 128)
     init_log_std: Annotated[float, Field(ge=-10, le=3)] = 0.0
+    progress_scale: NonNegativeFloat | None = None
+    solved_reward: NonNegativeFloat = 1.0
+    failure_cost: NonNegativeFloat = 1.0
+    noise_correlation: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    by_task: dict[str, ExpertChanges] = {}
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -142,7 +164,17 @@ class ExpertsConfig(Section):
             )
         if self.minibatches > self.worlds * self.rollout_ticks:
             raise ValueError("minibatches exceeds worlds x rollout_ticks")
+        for task in self.by_task:
+            self.of(task)
         return self
+
+    def of(self, task: str) -> "ExpertsConfig":
+        """The settings for the experts of a task, by its short name."""
+        changes = self.by_task.get(task)
+        if changes is None:
+            return self
+        content = self.model_dump(exclude={"by_task"})
+        return ExpertsConfig.model_validate(content | changes.model_dump(exclude_none=True))
 
 
 class DataConfig(Section):
@@ -239,6 +271,18 @@ class ChargeConfig(Section):
     rounding: Rounding = "ceil"
 
 
+class AlsoConfig(Section):
+    """One more evaluation of a run, where it differs from `[eval]`; what is None is as there.
+
+    Neither tuning nor an evaluation at equal hardware belongs to it.
+    """
+
+    delays: Delays | None = None
+    protocols: Names | None = None
+    methods: Names | None = None
+    flow_steps: Positive | None = None
+
+
 class EvalConfig(Section):
     """Which cells are evaluated; `episodes` is per training seed and cell.
 
@@ -249,7 +293,7 @@ class EvalConfig(Section):
     `delay_models` take the place of `delays` where they are given: delays that vary from one
     inference to the next, none longer than `delay_cap` (horizon - 1 without it). Every delay or
     model is evaluated with each of `estimators`, which say what the sampler is told. `charge` adds
-    an evaluation at equal hardware.
+    an evaluation at equal hardware, `also` others that differ in a few settings.
     """
 
     delays: Delays = (0, 1, 2, 3, 4)
@@ -272,6 +316,7 @@ class EvalConfig(Section):
     pinv: PinvConfig = PinvConfig()
     tune: TuneConfig | None = None
     charge: ChargeConfig | None = None
+    also: tuple[AlsoConfig, ...] = ()
 
     _check_delays = field_validator("delays")(_ascending)
     _check_methods = field_validator("methods")(_unique)
@@ -290,6 +335,21 @@ class EvalConfig(Section):
         if "oracle" in self.methods and "naive" not in self.methods:
             raise ValueError('methods: "oracle" is read against "naive"; name both')
         return self
+
+    @model_validator(mode="after")
+    def _check_also(self) -> Self:
+        for entry in self.also:
+            self._with(entry)
+        return self
+
+    @property
+    def further(self) -> "tuple[EvalConfig, ...]":
+        """The evaluations of `also`, whole."""
+        return tuple(self._with(entry) for entry in self.also)
+
+    def _with(self, entry: AlsoConfig) -> "EvalConfig":
+        content = self.model_dump(exclude={"also", "tune", "charge"})
+        return EvalConfig.model_validate(content | entry.model_dump(exclude_none=True))
 
     @field_validator("protocols")
     @classmethod
@@ -410,6 +470,14 @@ class Recipe(Section):
         return self
 
     @model_validator(mode="after")
+    def _check_experts_tasks(self) -> Self:
+        names = [short_name(task) for task in self.tasks]
+        for task in self.experts.by_task:
+            if task not in names:
+                raise ValueError(f'experts.by_task: "{task}" is no task{did_you_mean(task, names)}')
+        return self
+
+    @model_validator(mode="after")
     def _check_mixture(self) -> Self:
         wanted, seeds = self.data.experts, self.experts.seeds
         if wanted is not None and wanted > len(seeds):
@@ -464,15 +532,22 @@ _LATER_EVAL_KEYS = (
     "on_exceed",
     "observation_lag",
     "charge",
+    "also",
 )
-
-
+_LATER_EXPERTS_KEYS = (
+    "progress_scale",
+    "solved_reward",
+    "failure_cost",
+    "noise_correlation",
+    "by_task",
+)
 _LATER_NETWORK_KEYS = ("heads", "kv_heads", "head_dim", "context")
 
 
 def _leave_out_later_defaults(content: dict[str, Any]) -> None:
     sections = (
         ("eval", EvalConfig, _LATER_EVAL_KEYS),
+        ("experts", ExpertsConfig, _LATER_EXPERTS_KEYS),
         ("network", NetworkConfig, _LATER_NETWORK_KEYS),
     )
     for name, section, keys in sections:
@@ -524,7 +599,26 @@ def load_recipe(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Reci
     content.setdefault("name", re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem))
     for override in overrides:
         _apply_override(content, override)
+    _place_levels(content, path)
     return recipe_from_dict(content, str(path))
+
+
+def _place_levels(content: dict[str, Any], path: Path) -> None:
+    """Put the folder that the key `levels` names in the place of "{levels}" in tasks."""
+    folder, tasks = content.pop("levels", None), content.get("tasks")
+    if not isinstance(tasks, list) or not any(LEVELS in str(task) for task in tasks):
+        if folder is not None:
+            raise UsageError(
+                f'{path}: levels = "{folder}", but no task of the recipe holds "{LEVELS}"',
+                "leave the folder away, or name levels as tasks: kinetix:PATH",
+            )
+        return
+    if not isinstance(folder, str) or not folder:
+        raise UsageError(
+            f"{path}: its tasks are Kinetix level files, which are not part of rtc",
+            "say where they are: --levels FOLDER (docs/kinetix.md says which repository has them)",
+        )
+    content["tasks"] = [str(task).replace(LEVELS, folder) for task in tasks]
 
 
 def recipe_from_dict(

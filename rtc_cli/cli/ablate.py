@@ -7,6 +7,7 @@ import typer
 from rtc_cli.cli.live import run_jobs
 from rtc_cli.cli.options import (
     JsonOption,
+    LevelsOption,
     NewRunOption,
     NewSeedsOption,
     RecipeArgument,
@@ -16,7 +17,7 @@ from rtc_cli.cli.options import (
     WorkersOption,
 )
 from rtc_cli.cli.output import output
-from rtc_cli.cli.starting import set_with_tasks, start
+from rtc_cli.cli.starting import all_overrides, start
 
 app = typer.Typer()
 
@@ -30,6 +31,7 @@ DEFAULT_ABLATION = "ablations/delay_distribution"
 def ablate(
     recipe: RecipeArgument = None,
     tasks: TasksOption = None,
+    levels: LevelsOption = None,
     set_: SetOption = None,
     run: NewRunOption = None,
     resume: ResumeOption = False,
@@ -49,7 +51,7 @@ def ablate(
     from rtc_cli.report.terminal import render_report
 
     with output(as_json) as out:
-        changes = set_with_tasks(set_, tasks)
+        changes = all_overrides(set_, tasks, levels)
         opened = start(recipe, changes, run, resume=resume, seeds=seeds, default=DEFAULT_ABLATION)
         own = open_runs(opened)
         with locked([*own, opened]):

@@ -110,6 +110,14 @@ TasksOption = Annotated[
         autocompletion=complete_list(_tasks),
     ),
 ]
+LevelsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--levels",
+        metavar="FOLDER",
+        help="Folder of the Kinetix level files that a recipe's tasks name.",
+    ),
+]
 DelaysOption = Annotated[
     str | None,
     typer.Option(

@@ -7,6 +7,7 @@ import typer
 from rtc_cli.cli.live import run_alone, run_jobs
 from rtc_cli.cli.options import (
     JsonOption,
+    LevelsOption,
     NewRunOption,
     NewSeedsOption,
     RecipeArgument,
@@ -16,7 +17,7 @@ from rtc_cli.cli.options import (
     WorkersOption,
 )
 from rtc_cli.cli.output import output
-from rtc_cli.cli.starting import set_with_tasks, start
+from rtc_cli.cli.starting import all_overrides, start
 
 app = typer.Typer()
 
@@ -27,6 +28,7 @@ app = typer.Typer()
 def run(
     recipe: RecipeArgument = None,
     tasks: TasksOption = None,
+    levels: LevelsOption = None,
     set_: SetOption = None,
     run: NewRunOption = None,
     resume: ResumeOption = False,
@@ -46,7 +48,7 @@ def run(
     from rtc_cli.report.sections import compute
 
     with output(as_json) as out:
-        changes = set_with_tasks(set_, tasks)
+        changes = all_overrides(set_, tasks, levels)
         opened = start(recipe, changes, run, resume=resume, seeds=seeds)
         with opened.lock():
             run_jobs(opened, run_plan(opened), workers)

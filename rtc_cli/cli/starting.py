@@ -32,7 +32,7 @@ def start(
     if recipe is None and folder is not None and (folder / MANIFEST_NAME).is_file():
         if overrides:
             raise UsageError(
-                f"--set and --tasks would change the recipe of the existing run {folder}",
+                f"--set, --tasks and --levels would change the recipe of the existing run {folder}",
                 "leave them away to go on with it, or name a recipe and another --run folder",
             )
         return open_run(folder).with_seeds(wanted or ())
@@ -46,9 +46,12 @@ def start(
     return open_or_create_run(loaded, folder)
 
 
-def set_with_tasks(overrides: Sequence[str] | None, tasks: str | None) -> list[str]:
-    """Return the overrides of --set, with --tasks as one more of them."""
-    return [*(overrides or ()), *([] if tasks is None else [f"tasks={tasks}"])]
+def all_overrides(
+    overrides: Sequence[str] | None, tasks: str | None, levels: str | None
+) -> list[str]:
+    """Return the overrides of --set, with --tasks and --levels as further ones."""
+    named = {"tasks": tasks, "levels": levels}
+    return [*(overrides or ()), *(f"{key}={text}" for key, text in named.items() if text)]
 
 
 def _check(recipe: Recipe, *, ablation: bool) -> None:

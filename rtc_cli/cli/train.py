@@ -11,6 +11,7 @@ import typer
 from rtc_cli.cli.live import run_jobs
 from rtc_cli.cli.options import (
     JsonOption,
+    LevelsOption,
     NewRunOption,
     NewSeedsOption,
     RecipeArgument,
@@ -20,7 +21,7 @@ from rtc_cli.cli.options import (
     WorkersOption,
 )
 from rtc_cli.cli.output import document, output
-from rtc_cli.cli.starting import set_with_tasks, start
+from rtc_cli.cli.starting import all_overrides, start
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -37,6 +38,7 @@ app = typer.Typer()
 def train(
     recipe: RecipeArgument = None,
     tasks: TasksOption = None,
+    levels: LevelsOption = None,
     set_: SetOption = None,
     run: NewRunOption = None,
     resume: ResumeOption = False,
@@ -53,7 +55,7 @@ def train(
     from rtc_cli.results import machine_record
 
     with output(as_json) as out:
-        changes = set_with_tasks(set_, tasks)
+        changes = all_overrides(set_, tasks, levels)
         opened = start(recipe, changes, run, resume=resume, seeds=seeds)
         with opened.lock():
             run_jobs(opened, train_plan(opened), workers)

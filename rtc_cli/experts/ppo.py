@@ -81,7 +81,7 @@ def train_expert(
     learner = _init_learner(random, scene, config, settings)
     best, best_success, loss = _policy(learner, scene), 0.0, None
     with make_worlds(scene, config.worlds, workers) as worlds:
-        sampler = _Sampler(scene, worlds, config.worlds, seed, random)
+        sampler = _Sampler(scene, worlds, config, seed, random)
         while True:
             policy = _policy(learner, scene)
             rollout = sampler.rollout(policy, config.rollout_ticks)
@@ -165,14 +165,22 @@ class _Sampler:
     """Worlds that act under a policy, each starting a new episode when its own has ended."""
 
     def __init__(
-        self, scene: Scene, worlds: WorldBatch, count: int, seed: int, random: np.random.Generator
+        self,
+        scene: Scene,
+        worlds: WorldBatch,
+        config: "ExpertsConfig",
+        seed: int,
+        random: np.random.Generator,
     ) -> None:
-        self.scene, self.worlds, self.count = scene, worlds, count
+        self.scene, self.worlds, self.count = scene, worlds, config.worlds
+        self._config = config
         self.steps = 0
         self.episodes = 0
-        self._recent: deque[bool] = deque(maxlen=max(RECENT_EPISODES, count))
+        self._recent: deque[bool] = deque(maxlen=max(RECENT_EPISODES, self.count))
         self._next_seed = FIRST_EPISODE_SEED + seed * SEEDS_PER_EXPERT
         self._random = random
+        correlated = config.noise_correlation > 0
+        self._last_noise = self._draw(1)[0] if correlated else None
         self.start_afresh()
 
     def start_afresh(self) -> None:
@@ -189,7 +197,7 @@ class _Sampler:
 
     def rollout(self, policy: ExpertPolicy, ticks: int) -> Rollout:
         """Act for some ticks in all worlds and record what PPO needs."""
-        noise = self._draw(ticks)
+        noise = self._explore(ticks)
         obs = np.empty((ticks, self.count, self.scene.obs_dim), np.float32)
         next_obs = np.empty_like(obs)
         status = np.empty((ticks, self.count), np.int8)
@@ -231,7 +239,14 @@ class _Sampler:
         next_obs[invalid] = obs[invalid]
         rows = (-1, obs.shape[-1])
         steps = obs.reshape(rows), next_obs.reshape(rows), status.reshape(-1)
-        reward = shaped_reward(self.scene, *steps).reshape(status.shape)
+        config = self._config
+        reward = shaped_reward(
+            self.scene,
+            *steps,
+            progress_scale=config.progress_scale,
+            solved_reward=config.solved_reward,
+            failure_cost=config.failure_cost,
+        ).reshape(status.shape)
         return Rollout(
             obs=jnp.asarray(obs),
             noise=jnp.asarray(noise),
@@ -240,6 +255,21 @@ class _Sampler:
             terminal=jnp.asarray((status != Status.RUNNING) & (status != Status.TIMEOUT)),
             done=jnp.asarray(status != Status.RUNNING),
         )
+
+    def _explore(self, ticks: int) -> np.ndarray:
+        """Exploration noise (ticks, N, A): standard normal, with the correlation asked for.
+
+        Source: Hollenstein et al. 2024 (correlated noise in PPO); here of first order.
+        """
+        noise = self._draw(ticks)
+        if self._last_noise is None:
+            return noise
+        keep = np.float32(self._config.noise_correlation)
+        fresh = np.sqrt(1 - keep**2)
+        for tick in range(ticks):
+            noise[tick] = keep * self._last_noise + fresh * noise[tick]
+            self._last_noise = noise[tick]
+        return noise
 
     def _draw(self, ticks: int) -> np.ndarray:
         shape = (ticks, self.count, self.scene.action_dim)

@@ -16,7 +16,7 @@ def check_recipe(recipe: Recipe) -> None:
     from rtc_cli.samplers import list_samplers
 
     for task in recipe.tasks:
-        get_task(task)
+        get_task(task).prepare()
     check_network(recipe.network.kind, recipe.network.options(), recipe.horizon)
     for sampler in recipe.profile.samplers:
         if sampler not in list_samplers():
@@ -37,3 +37,5 @@ def check_evaluation(config: EvalConfig, horizon: int) -> None:
     if config.tune is not None:
         tuning_cells(config.tune, horizon)
     charged_by(config, horizon)
+    for further in config.further:
+        check_evaluation(further, horizon)

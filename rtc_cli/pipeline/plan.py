@@ -46,8 +46,18 @@ def seed_plan(run: Run, seed: int) -> list[Job]:
         *_training(run, seed),
         *(_diversity(run, seed) if first else ()),
         *eval_plan(run, recipe.eval, recipe.tasks, (seed,)),
+        *_further(run, seed),
         *charged_plan(run, charged_by(recipe.eval, recipe.horizon), recipe.tasks, (seed,)),
         *(_tuning(run) if first else ()),
+    ]
+
+
+def _further(run: Run, seed: int) -> list[Job]:
+    """Return the jobs of `eval.also`, each named after its place in the list."""
+    return [
+        dataclasses.replace(job, name=f"{job.name} · also {i}")
+        for i, config in enumerate(run.recipe.eval.further, start=1)
+        for job in eval_plan(run, config, run.recipe.tasks, (seed,))
     ]
 
 

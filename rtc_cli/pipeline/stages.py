@@ -66,7 +66,7 @@ def train_expert(folder: Path, task: str, seed: int, progress: Progress) -> None
         note = f"success {success:.2f}" if success is not None else "success ?"
         progress(state["steps"], state["max_steps"], f"{note}, {state['steps_per_s']:,.0f} steps/s")
 
-    result = train(scene, run.recipe.experts, seed, progress=on_rollout)
+    result = train(scene, run.recipe.experts.of(short_name(task)), seed, progress=on_rollout)
     if not target.exists():
         result.policy.save(target)
     write_json(

@@ -6,7 +6,6 @@ from typing import Any
 import pandas as pd
 
 from rtc_cli.errors import StateError
-from rtc_cli.levels import task_label
 from rtc_cli.report import figures, sections
 from rtc_cli.report.charge.page import charge_section
 from rtc_cli.report.document import (
@@ -30,6 +29,7 @@ from rtc_cli.report.losses.text import (
 )
 from rtc_cli.report.render import differences_grid, success_grid
 from rtc_cli.report.selection import fits_protocol
+from rtc_cli.report.steps import flow_steps_sections
 from rtc_cli.report.tables import ALL, Row, ablation_differences, ablation_table, pick
 from rtc_cli.report.text import (
     QUESTION,
@@ -66,6 +66,7 @@ def build_report(run_folder: Path | str) -> ReportPaths:
             sections.how_to_read(run, results),
             sections.success(results),
             sections.paired_differences(results),
+            *flow_steps_sections(results),
             loss_sections.losses(results),
             sections.tolerance(results),
             sections.matrix(results),
@@ -200,9 +201,7 @@ def _ablation_section(table: list[Row], gaps: list[Row], baseline: str, protocol
     ]
     if len(tasks) > 1:
         tables = [
-            sections.as_table(
-                success_grid(rows, series="variant", task=task), f"Task: {task_label(task)}"
-            )
+            sections.as_table(success_grid(rows, series="variant", task=task), f"Task: {task}")
             for task in tasks
         ]
         blocks.append(Fold("The same for each task", tables))

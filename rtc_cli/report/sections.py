@@ -6,7 +6,6 @@ from typing import Any
 
 import pandas as pd
 
-from rtc_cli.levels import task_label
 from rtc_cli.report import figures
 from rtc_cli.report.document import (
     Block,
@@ -203,8 +202,9 @@ def success(results: Results) -> Section:
         others = [str(steps) for steps in results.all_flow_steps if steps != results.flow_steps]
         blocks.append(
             Note(
-                f"All tables use {results.flow_steps} flow steps; episodes with "
-                f"{', '.join(others)} flow steps are in `rows.json`."
+                f"These tables use {results.flow_steps} flow steps; {', '.join(others)} flow "
+                "steps have a section of their own where they share a protocol, and are in "
+                "`rows.json`."
             )
         )
     for protocol in results.protocols:
@@ -234,7 +234,7 @@ def _varying_blocks(results: Results, rows: Sequence[Row]) -> list[Block]:
     if len(results.tasks) > 1:
         grids = {task: delays_grid(rows, task=task) for task in results.tasks}
         tables = [
-            as_table(grid, f"Where delays vary, task: {task_label(task)}")
+            as_table(grid, f"Where delays vary, task: {task}")
             for task, grid in grids.items()
             if grid.rows
         ]
@@ -265,8 +265,7 @@ def _constant_blocks(results: Results, rows: Sequence[Row], protocol: str) -> li
         blocks.append(Note("No cell was evaluated on every task yet, so there is no mean."))
     if len(results.tasks) > 1:
         tables = [
-            as_table(success_grid(rows, task=task), f"Task: {task_label(task)}")
-            for task in results.tasks
+            as_table(success_grid(rows, task=task), f"Task: {task}") for task in results.tasks
         ]
         blocks.append(Fold("The same for each task", tables))
     return blocks
@@ -284,7 +283,7 @@ def _beyond(rows: Sequence[Row]) -> str:
 
 def _mean_of(results: Results) -> str:
     if len(results.tasks) == 1:
-        return f"task {task_label(results.tasks[0])}"
+        return f"task {results.tasks[0]}"
     return f"mean of {len(results.tasks)} tasks with equal weights"
 
 
@@ -365,7 +364,7 @@ def _difference_blocks(results: Results, protocol: str) -> list[Block]:
     )
     if len(results.tasks) > 1:
         tables = [
-            as_table(differences_grid(rows, protocol, task=task), f"Task: {task_label(task)}")
+            as_table(differences_grid(rows, protocol, task=task), f"Task: {task}")
             for task in results.tasks
         ]
         blocks.append(Fold("The same for each task", tables))
@@ -418,7 +417,7 @@ def _d90_tables(rows: Sequence[Row]) -> list[Table]:
 def _fall_table(falls: Sequence[Row]) -> Table:
     lines = [
         [
-            task_label(row["task"]),
+            row["task"],
             row["protocol"],
             points(row["success_at_zero"]),
             f"{points(row['success_at_delay'])} at d={row['delay']}",
@@ -545,7 +544,7 @@ def training(run: RunInputs) -> Section:
     )  # fmt: skip
     lines = [
         [
-            task_label(str(curve["task"])),
+            str(curve["task"]),
             str(curve.get("train_seed", "-")),
             str(curve.get("checkpoint", "-")),
             str(len(curve["epochs"])),
@@ -597,7 +596,7 @@ def _expert_table(run: RunInputs, acting: Collection[tuple[str, int]] | None = N
     lines = []
     for record in sorted(run.experts, key=lambda record: (record["task"], record["seed"])):
         line = [
-            task_label(str(record["task"])),
+            str(record["task"]),
             str(record["seed"]),
             points(float(record["success"])),
             f"{int(record['steps']):,}" if record.get("steps") is not None else "-",

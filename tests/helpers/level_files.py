@@ -17,7 +17,8 @@ def hover() -> Content:
     """A hull (polygon1, goal object) on two thrusters carries a jointed arm (polygon2) with a tip.
 
     The tip (circle0) is welded to the arm; the target (circle1) hangs above the hull, the floor
-    (polygon0) is a hazard. Polygon3, circle2 and the last joint are unused slots of the lists.
+    (polygon0) is a hazard and the whole of the surroundings. Polygon3, circle2 and the last joint
+    are unused slots of the lists. Constants are those of the public level files.
     """
     hull = _polygon(0.4, 0.2, (2.0, 2.0), role=1, mass=HULL_KG)
     arm = _polygon(0.1, 0.3, (2.0, 1.75), mass=ARM_KG)
@@ -45,22 +46,43 @@ def hover() -> Content:
         },
         "env_params": {
             "dt": 1 / 60,
-            "max_timesteps": 256,
+            "slop": 0.01,
+            "baumgarte_coefficient_joints_v": 2.0,
+            "baumgarte_coefficient_joints_p": 0.7,
+            "baumgarte_coefficient_fjoint_av": 2.0,
+            "baumgarte_coefficient_rjoint_limit_av": 5.0,
+            "baumgarte_coefficient_collision": 0.2,
+            "joint_stiffness": 0.6,
+            "clip_position": 15,
+            "clip_velocity": 100,
+            "clip_angular_velocity": 50,
             "base_motor_speed": 6.0,
             "base_motor_power": 900.0,
             "base_thruster_power": 10.0,
-            "base_friction": 0.4,
             "motor_decay_coefficient": 0.1,
             "motor_joint_limit": 0.1,
-            "clip_velocity": 100.0,
-            "clip_angular_velocity": 50.0,
+            "base_friction": 0.4,
+            "max_timesteps": 256,
+            "pixels_per_unit": 100,
+            "dense_reward_scale": 0.1,
+            "num_shape_roles": 4,
         },
         "static_env_params": {
             "num_polygons": 4,
             "num_circles": 3,
             "num_joints": 3,
             "num_thrusters": 2,
+            "max_polygon_vertices": 4,
+            "num_solver_iterations": 10,
+            "solver_batch_size": 16,
+            "do_warm_starting": True,
+            "num_static_fixated_polys": 1,
+            "screen_dim": {"0": 500, "1": 500},
+            "downscale": 4,
             "frame_skip": 2,
+            "max_shape_size": 2,
+            "num_motor_bindings": 4,
+            "num_thruster_bindings": 2,
         },
     }
 
