@@ -118,6 +118,7 @@ class ExpertChanges(Section):
 
     max_steps: Positive | None = None
     target_success: Share | None = None
+    entropy: NonNegativeFloat | None = None
     progress_scale: NonNegativeFloat | None = None
     solved_reward: NonNegativeFloat | None = None
     failure_cost: NonNegativeFloat | None = None
