@@ -7,8 +7,10 @@ import pytest
 from pointmass import PointScene, PointWorlds
 
 from rtc_cli.errors import DivergedError
-from rtc_cli.experts.ppo import train_expert
+from rtc_cli.experts.ppo import _Sampler, train_expert
 from rtc_cli.recipe import ExpertsConfig
+from rtc_cli.tasks.reward import shaped_reward
+from rtc_cli.tasks.scene import Status
 
 CONFIG = ExpertsConfig(
     worlds=64, rollout_ticks=32, max_steps=60_000, target_success=0.9, hidden=(32, 32)
@@ -84,3 +86,42 @@ def test_episode_seeds_of_experts_are_their_own():
     assert len(set(seen)) == len(seen)
     assert min(seen) == 930_000_000
     assert max(seen) < 940_000_000
+
+
+def test_reward_follows_the_settings():
+    scene = PointScene()
+    before, after = np.zeros((4, 4), np.float32), np.zeros((4, 4), np.float32)
+    before[:, 0], after[:, 0] = 1.0, 0.5
+    status = np.array([Status.RUNNING, Status.SOLVED, Status.FAILED, Status.INVALID], np.int8)
+    gained = scene.progress(after[:1]) - scene.progress(before[:1])
+    settings = {"progress_scale": 2.0, "solved_reward": 11.0, "failure_cost": 0.25}
+    found = shaped_reward(scene, before, after, status, **settings)
+    np.testing.assert_allclose(
+        found, [2 * gained[0], 2 * gained[0] + 11, 2 * gained[0] - 0.25, 0.0], rtol=1e-6
+    )
+    own = shaped_reward(scene, before, after, status)
+    step = scene.progress_scale * gained[0]
+    np.testing.assert_allclose(own, [step, step + 1, step - 1, 0.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.9])
+def test_exploration_noise_is_standard_normal_and_correlated_as_asked(correlation):
+    config = CONFIG.model_copy(update={"noise_correlation": correlation})
+    random = np.random.Generator(np.random.Philox(3))
+    scene = PointScene()
+    sampler = _Sampler(scene, PointWorlds(scene, 64), config, 0, random)
+    noise = np.concatenate([sampler._explore(100) for _ in range(20)])  # goes on between calls
+    assert abs(noise.mean()) < 0.03
+    assert noise.std() == pytest.approx(1.0, abs=0.02)
+    for lag in (1, 2, 10):
+        found = np.mean(noise[lag:] * noise[:-lag])
+        assert found == pytest.approx(correlation**lag, abs=0.03)
+
+
+def test_settings_of_one_task_change_that_task_only():
+    config = ExpertsConfig.model_validate(
+        {"entropy": 0.5, "by_task": {"catcher": {"noise_correlation": 0.9, "max_steps": 7}}}
+    )
+    assert config.of("walker") is config
+    mine = config.of("catcher")
+    assert (mine.noise_correlation, mine.max_steps, mine.entropy) == (0.9, 7, 0.5)

@@ -329,17 +329,15 @@ def test_terminal_tables_fit_80_columns(episodes: pd.DataFrame) -> None:
     text = console.export_text()
     assert max(len(line.rstrip()) for line in text.splitlines()) <= 80
     assert "kinetix-h17_unicycle" in text
-    assert "(pymunk port)" in text
 
 
-def test_the_report_of_a_world_with_ports(synthetic: ModuleType, tmp_path: Path) -> None:
+def test_the_report_of_a_world_with_levels(synthetic: ModuleType, tmp_path: Path) -> None:
     names = {"catcher": "catcher", "grasp": "kinetix-grasp", "trampoline": "trampoline"}
     world = {name: synthetic.WORLD[task] for task, name in names.items()}
     frames = synthetic.loss_episodes(world, seeds=(0,), protocols=("fixed:4",), n=30)
     report = build_report(synthetic.write_run(tmp_path, frames, extras=False))
     text = report.markdown.read_text()
-    assert "kinetix-grasp (pymunk port)" in text
-    assert "not comparable with published values" in text
+    assert "kinetix-grasp" in text
     assert {"main.png", "losses-fixed-4.png", "seam-reaction.png"} <= {
         path.name for path in report.figures
     }
