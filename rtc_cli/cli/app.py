@@ -158,8 +158,8 @@ def _fail_usage(error: Any) -> int:
     """Report what typer's parser refused; an empty command line gets the help page."""
     context = getattr(error, "ctx", None)
     if type(error).__name__ == "NoArgsIsHelpError" and context is not None:
-        print(context.get_help(), file=sys.stderr)
-        return UsageError.default_exit_code
+        print(context.get_help())
+        return 0
     command = context.command_path if context is not None else "rtc"
     message = " ".join(error.format_message().replace("Value error, ", "").split())
     given = getattr(error.__cause__, "errors", None)

@@ -261,3 +261,12 @@ def test_no_progress_bars_without_a_terminal(capsys):
     with progress() as bars:
         bars.update(bars.add_task("work", total=3, note=""), advance=1)
     assert capsys.readouterr() == ("", "")
+
+
+def test_an_empty_command_line_shows_the_help_and_is_no_error(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert program.run([]) == 0
+    shown = capsys.readouterr()
+    assert "Commands:" in shown.out
+    assert not shown.err
