@@ -1,4 +1,4 @@
-"""What a batch asks of the physics of its worlds, and the plain answer through pymunk's own API."""
+"""What a batch asks of the physics of its worlds."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from rtc_cli.tasks.scene import STATE_SIZE, Role, Scene, StateArray
-from rtc_cli.tasks.world import Drives, World
+from rtc_cli.tasks.scene import Role, StateArray
 
 # A run steps at most this many ticks, and at most this many world-ticks: few enough that what is
 # logged is read while it is still in the cache.
@@ -54,50 +53,3 @@ class Engine(Protocol):
 
     def copy(self, source: Engine, worlds: Sequence[int]) -> bool:
         """Take over worlds exactly as they are in `source`; False where that cannot be done."""
-
-
-class PublicEngine:
-    """Pymunk's public interface only, a new Space at every reset. Slow; the truth for tests."""
-
-    def __init__(self, scene: Scene, n: int) -> None:
-        self._scene = scene
-        self._drives = Drives.of(scene)
-        self._touched: list[Role] = []
-        self._worlds = [self._new() for _ in range(n)]
-
-    def _new(self) -> World:
-        return World(self._scene, self._touched.append)
-
-    def reset(self, worlds: Sequence[int], states: StateArray) -> None:
-        """Build new Spaces and place the bodies."""
-        for world, state in zip(worlds, states, strict=True):
-            self._worlds[world] = self._new()
-            self._worlds[world].place(state)
-
-    def run(self, worlds: Sequence[int], actions: StateArray) -> Stepped:
-        """Step world by world, tick by tick."""
-        rates = self._drives.rates(actions).tolist()
-        forces = self._drives.forces(actions).tolist()
-        moving = len(self._worlds[0].bodies)
-        log = np.empty((*actions.shape[:2], moving, STATE_SIZE))
-        contacts: list[Contact] = []
-        for row, index in enumerate(worlds):
-            world = self._worlds[index]
-            for tick in range(actions.shape[1]):
-                self._touched.clear()
-                world.tick(rates[row][tick], forces[row][tick])
-                world.read(log[row, tick])
-                contacts += [Contact(row, tick, role) for role in self._touched]
-        return Stepped(log, contacts)
-
-    def set_velocities(self, world: int, state: StateArray) -> None:
-        """Overwrite velocities."""
-        self._worlds[world].set_velocities(state)
-
-    def rebuild(self, world: int) -> None:
-        """Make a new Space."""
-        self._worlds[world] = self._new()
-
-    def copy(self, source: Engine, worlds: Sequence[int]) -> bool:
-        """Pymunk cannot: a Space keeps more than can be read from it."""
-        return False

@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from rtc_cli.errors import UsageError, did_you_mean
 from rtc_cli.tasks import chipmunk
-from rtc_cli.tasks.engine import MAX_CHUNK, SHARD_TICKS, Contact, Engine, PublicEngine
+from rtc_cli.tasks.engine import MAX_CHUNK, SHARD_TICKS, Contact, Engine
+from rtc_cli.tasks.public import PublicEngine
 from rtc_cli.tasks.randomness import action_noise, jitter_numbers
 from rtc_cli.tasks.scene import FloatArray, Role, Scene, StateArray, Status
 
