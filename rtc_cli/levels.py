@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal, get_args
@@ -18,7 +19,7 @@ from rtc_cli.errors import UsageError, did_you_mean
 PREFIX = "kinetix:"
 SHORT_PREFIX = "kinetix-"
 SUFFIX = ".json"
-OPTION = ",observation="
+OPTION = "@"  # before the kind of observation
 LEVELS = "{levels}"  # in a recipe's tasks: the folder of --levels
 
 Observation = Literal["compact", "symbolic"]
@@ -37,6 +38,13 @@ def level_path(task: str) -> Path:
         raise UsageError(f'"{task}": {error}', "write the path without ~") from error
 
 
+def moved_level(task: str, path: Path) -> str:
+    """The name of the same level, observed in the same way, in another file."""
+    observation = level_observation(task)
+    end = "" if observation == "compact" else f"{OPTION}{observation}"
+    return f"{PREFIX}{path.absolute()}{end}"
+
+
 def level_observation(task: str) -> Observation:
     """How a level is observed, by its name; UsageError for a kind that does not exist."""
     return _split(task)[1]
@@ -44,23 +52,25 @@ def level_observation(task: str) -> Observation:
 
 def _split(task: str) -> tuple[str, Observation]:
     """The path in a level's name, and how it is observed."""
-    path, found, kind = task.removeprefix(PREFIX).rpartition(OPTION)
-    if not found:
-        return kind, "compact"
+    whole = task.removeprefix(PREFIX)
+    path, found, kind = whole.rpartition(OPTION)
     for known in get_args(Observation):
-        if kind == known:
+        if found and kind == known:
             return path, known
-    raise UsageError(f'"{task}": observation' + did_you_mean(kind, get_args(Observation)))
+    if path.lower().endswith(SUFFIX) and kind.isalpha():
+        raise UsageError(f'"{task}": observation' + did_you_mean(kind, get_args(Observation)))
+    return whole, "compact"
 
 
 def short_name(task: str) -> str:
     """The name to show, safe as a folder's name: "kinetix-<file name>"; other names as they are."""
     if not is_level(task):
         return task
-    stem = level_path(task).name.removesuffix(SUFFIX)
+    file = level_path(task)
+    stem = file.stem if file.suffix.lower() == SUFFIX else file.name
     observation = level_observation(task)
     end = "" if observation == "compact" else f"-{observation}"
-    return SHORT_PREFIX + re.sub(r"[^A-Za-z0-9_-]+", "_", stem) + end
+    return SHORT_PREFIX + re.sub(r"[^\w-]+", "_", unicodedata.normalize("NFC", stem)) + end
 
 
 def expand(tasks: Iterable[str]) -> tuple[str, ...]:
@@ -90,7 +100,7 @@ def _expanded(task: str) -> list[str]:
     end = "" if observation == "compact" else f"{OPTION}{observation}"
     if not path.is_dir():
         return [f"{PREFIX}{path}{end}"]
-    files = sorted(path.glob(f"*{SUFFIX}"))
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() == SUFFIX)
     if not files:
         raise UsageError(
             f"{path} holds no level files (*{SUFFIX})", "name a level file or another folder"

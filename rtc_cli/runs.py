@@ -6,6 +6,7 @@
     results/       episodes/*.parquet, training/*.json, profile.json, charge.json
     report/
     traces/        latencies that policies were evaluated under
+    levels/        the level files that the run was made with
     variants/<combination>/  runs of an ablation's grid, on these experts
     programs/      compiled programs; worth nothing on another machine
 
@@ -14,6 +15,7 @@ dies, however it dies, so the next command takes it over.
 """
 
 import fcntl
+import hashlib
 import json
 import os
 import platform
@@ -30,8 +32,15 @@ from typing import Any
 
 from rtc_cli import __version__
 from rtc_cli.errors import StateError
-from rtc_cli.files import new_folder, os_error, remove_remains, write_json, write_text
-from rtc_cli.levels import short_name
+from rtc_cli.files import (
+    new_folder,
+    os_error,
+    remove_remains,
+    write_bytes,
+    write_json,
+    write_text,
+)
+from rtc_cli.levels import is_level, level_path, moved_level, short_name
 from rtc_cli.recipe import (
     Recipe,
     differing_keys,
@@ -44,6 +53,7 @@ RUNS_FOLDER = Path("runs")
 MANIFEST_NAME = "manifest.json"
 RECIPE_NAME = "recipe.toml"
 LOCK_NAME = ".lock"
+LEVELS_NAME = "levels"
 MANIFEST_SCHEMA = 1
 
 _PACKAGES = ("jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "numpy", "pymunk", "pandas")
@@ -68,6 +78,25 @@ class Run:
     def checkpoint(self, task: str, train_seed: int, kind: str) -> Path:
         """Folder of one checkpoint; `kind` is base, fork, prefix or an ablation's variant."""
         return self.folder / "checkpoints" / short_name(task) / f"seed-{train_seed}" / kind
+
+    def source(self, task: str) -> str:
+        """The name to load a task by: a level's is that of the run's own copy of its file.
+
+        StateError where the copy is not what it was.
+        """
+        if not is_level(task):
+            return task
+        original = level_path(task)
+        digest = self.manifest.get("levels", {}).get(original.name)
+        if digest is None:
+            return task  # a run of an earlier version
+        copy = self.folder / LEVELS_NAME / original.name
+        if _digest(copy) != digest:
+            raise StateError(
+                f"{copy} is damaged: it is not the level that the run was made with",
+                f"restore it (the run was made from {original}), or start a new run",
+            )
+        return moved_level(task, copy)
 
     @property
     def results(self) -> Path:
@@ -125,8 +154,15 @@ def create_run(recipe: Recipe, folder: Path | None = None, *, device: str | None
     """
     now = datetime.now(UTC)
     folder = _free_folder(recipe.name, now) if folder is None else Path(folder)
+    levels = {
+        level_path(task): _digest(level_path(task)) for task in recipe.tasks if is_level(task)
+    }
     manifest = _manifest(recipe, now, device)
+    if levels:
+        manifest["levels"] = {path.name: digest for path, digest in levels.items()}
     with new_folder(folder) as building:
+        for path in levels:
+            write_bytes(building / LEVELS_NAME / path.name, _read(path))
         write_text(building / RECIPE_NAME, recipe_to_toml(recipe))
         write_json(building / MANIFEST_NAME, manifest)
     return Run(folder, recipe, manifest)
@@ -252,6 +288,17 @@ def _git_commit() -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip() or None if done.returncode == 0 else None
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(_read(path)).hexdigest()
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise os_error(error, path) from error
 
 
 def _free_folder(name: str, now: datetime) -> Path:

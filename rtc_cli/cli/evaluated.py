@@ -70,7 +70,7 @@ def select_episodes(
     reference = (rows["protocol"] == OPEN_LOOP) & ("oracle" in config.methods)
     for free in ("protocol", "delay"):
         asked[free] |= reference
-    near = rows[np.logical_and.reduce([*asked.values(), _noise_asked(rows, config, tasks)])]
+    near = rows[np.logical_and.reduce([*asked.values(), _noise_asked(rows, run, config, tasks)])]
     # Row by row, so only of the rows that are left.
     return near[_timing_asked(near, timings) | reference[near.index]]
 
@@ -85,13 +85,15 @@ def _timing_asked(rows: pd.DataFrame, timings: Sequence[Timing]) -> pd.Series[bo
     return pd.Series([row in asked for row in found], rows.index, dtype=bool)
 
 
-def _noise_asked(rows: pd.DataFrame, config: EvalConfig, tasks: tuple[str, ...]) -> pd.Series[bool]:
+def _noise_asked(
+    rows: pd.DataFrame, run: Run, config: EvalConfig, tasks: tuple[str, ...]
+) -> pd.Series[bool]:
     """Say which rows were evaluated under a noise that was asked for: without one, the task's."""
     from rtc_cli.tasks import get_task
 
     if config.action_noise:
         return rows["action_noise"].isin(config.action_noise)
-    own = {short_name(task): get_task(task).action_noise for task in tasks}
+    own = {short_name(task): get_task(run.source(task)).action_noise for task in tasks}
     return rows["action_noise"] == rows["task"].map(own)
 
 

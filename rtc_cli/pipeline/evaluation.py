@@ -237,7 +237,7 @@ class _Checkpoints:
     def __init__(self, target: Target) -> None:
         self.target = target
         self.run = open_run(target.folder)
-        self.scene = get_task(target.task)
+        self.scene = get_task(self.run.source(target.task))
         self._read: dict[str, tuple[Policy, str, tuple[int, ...] | None]] = {}
 
     def get(self, kind: str) -> tuple[Policy, str, tuple[int, ...] | None]:

@@ -49,7 +49,7 @@ def train_expert(folder: Path, task: str, seed: int, progress: Progress) -> None
     run = open_run(folder)
     target = run.experts(task) / str(seed)
     record = run.experts(task) / f"{seed}.json"
-    scene = get_task(task)
+    scene = get_task(run.source(task))
     if record.is_file():
         known = read_json(record, "record of an expert").get("scene", scene.digest)
         if known != scene.digest:
@@ -89,7 +89,7 @@ def collect_data(folder: Path, task: str, train_seed: int, progress: Progress) -
     from rtc_cli.experts.policy import mixture_actor
 
     collect(
-        get_task(task),
+        get_task(run.source(task)),
         mixture_actor(mixture(run, task), seed=train_seed, policy_std=run.recipe.data.policy_std),
         run.recipe.data.transitions,
         first_episode=first_data_episode(train_seed),
@@ -249,7 +249,7 @@ class _Fit:
         from rtc_cli.core.policy import Normaliser, Policy, PolicyConfig
         from rtc_cli.training.checkpoints import CheckpointMeta
 
-        scene, recipe = get_task(self.task), self.run_.recipe
+        scene, recipe = get_task(self.run_.source(self.task)), self.run_.recipe
         config = PolicyConfig(
             network=recipe.network.kind,
             options=tuple(sorted(recipe.network.options().items())),

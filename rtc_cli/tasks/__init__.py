@@ -31,7 +31,7 @@ def get_task(name: str) -> Scene:
     """The scene called `name`; UsageError with suggestions if there is none.
 
     "kinetix:PATH" reads a level file; the scene's own name is then "kinetix-<file name>". With
-    "kinetix:PATH,observation=symbolic" it is observed as Kinetix does, and called "...-symbolic".
+    "kinetix:PATH@symbolic" it is observed as Kinetix does, and called "...-symbolic".
     """
     if not is_level(name):
         return _named(name)
