@@ -1,7 +1,9 @@
 """docs/commands.md is what the real program says, and holds every command and option."""
 
 import importlib.util
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -54,3 +56,16 @@ def test_the_same_option_has_the_same_help_everywhere():
                 seen.setdefault(option, set()).add(str(param.help))
     for option in ("--json", "--set", "--workers", "--resume"):
         assert len(seen[option]) == 1, option
+
+
+def test_the_readmes_python_runs_as_printed() -> None:
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    snippets = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    assert snippets
+    for snippet in snippets:
+        names: dict[str, Any] = {}
+        exec(snippet, names)
+        chunk = names["chunk"]
+        assert chunk.shape == (1, 8, 2)
+        # What is committed is nearer to the previous chunk than what is free.
+        assert abs(chunk[0, 0, 0] - 0.5) < abs(chunk[0, 7, 0] - 0.5)

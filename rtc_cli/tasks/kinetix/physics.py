@@ -37,6 +37,7 @@ from rtc_cli.tasks.kinetix.numerics import (
     or_one,
 )
 from rtc_cli.tasks.kinetix.packing import (
+    CORNERS,
     NOTHING,
     POLYGONS,
     Bodies,
@@ -48,6 +49,7 @@ from rtc_cli.tasks.kinetix.packing import (
     Pairs,
     Thrusters,
 )
+from rtc_cli.tasks.kinetix.reading import MOTOR_BINDINGS
 from rtc_cli.tasks.kinetix.solving import reach, solve_contacts, solve_joints, start_warm
 
 
@@ -68,7 +70,7 @@ def make_scratch(packed: Packed) -> Scratch:
     batches = 2 * packed.pairs.batches[POLYGONS] + packed.pairs.batches[1:].sum()
     scratch = Scratch(
         np.zeros((bodies, 2), np.float32),
-        np.zeros((len(packed.bodies.corners), 4, 2), np.float32),
+        np.zeros((len(packed.bodies.corners), CORNERS, 2), np.float32),
         np.zeros((bodies, 4), np.float32),
         np.zeros((len(packed.joints.a), 4), np.float32),
         np.zeros(len(packed.joints.a), np.float32),
@@ -209,7 +211,7 @@ def _drive(
         bodies[joints.b[j], SPIN] -= turned[j] * shapes.inverse_inertia[joints.b[j]]
     for k in range(thrusters.body.shape[0]):
         i = thrusters.body[k]
-        command = clamp(action[4 + thrusters.binding[k]], ZERO, ONE)
+        command = clamp(action[MOTOR_BINDINGS + thrusters.binding[k]], ZERO, ONE)
         force = thrusters.values[k, 3] * command * laws.step_s
         angle = thrusters.values[k, 2] + bodies[i, ANGLE]
         dx, dy = math.cos(angle), math.sin(angle)
