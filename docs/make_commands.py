@@ -21,8 +21,8 @@ This page is made from the help pages (`python docs/make_commands.py`).
 
 - **Runs.** A run is a folder, `./runs/<recipe>-<UTC time>/` or `--run DIR`. Commands that need one
   take the newest. One process at a time writes to it; what it holds already is not computed again.
-- **Recipes.** `RECIPE` is a shipped name (`quickstart`, `standard`, `kinetix`, `equal_hardware`, `paper`,
-  `ablations/delay_distribution`, `ablations/multimodality`) or the path of a `.toml` file.
+- **Recipes.** `RECIPE` is a shipped name (`quickstart`, `standard`, `kinetix`, `equal_hardware`,
+  `paper`, `ablations/delay_distribution`, `ablations/multimodality`) or the path of a `.toml` file.
   `--set train.epochs=8` overrides a value; lists take commas
   (`--set eval.methods=naive,pinv`), delays take ranges (`0,2-4`).
 - **Output.** Tables for people. With `--json`, one JSON document on stdout and everything else on
