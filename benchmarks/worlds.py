@@ -51,15 +51,15 @@ class PlainWorlds:
         for world, start in zip(self.worlds, starts, strict=True):
             world.place(start)
 
-    def commands(self, actions: np.ndarray) -> tuple[list, list, np.ndarray]:
-        """Motor rates and thruster forces as lists, applied actions; (n, TICKS, ...)."""
+    def commands(self, actions: np.ndarray) -> tuple[list, list]:
+        """Motor rates and thruster forces as lists (n, TICKS, ...)."""
         noisy = actions + self.noise[:, :TICKS]
         applied = np.clip(noisy, self.scene.action_low, self.scene.action_high)
-        return self.drives.rates(applied).tolist(), self.drives.forces(applied).tolist(), applied
+        return self.drives.rates(applied).tolist(), self.drives.forces(applied).tolist()
 
     def lockstep(self, actions: np.ndarray) -> int:
         """All worlds, tick by tick; executed control steps."""
-        rates, forces, applied = self.commands(actions)
+        rates, forces = self.commands(actions)
         done = 0
         for tick in range(TICKS):
             states = []
@@ -74,7 +74,7 @@ class PlainWorlds:
 
     def sharded(self, actions: np.ndarray) -> int:
         """64 worlds at a time, chunk by chunk; executed control steps."""
-        rates, forces, applied = self.commands(actions)
+        rates, forces = self.commands(actions)
         done = 0
         for first in range(0, len(self.worlds), SHARD):
             shard = range(first, min(first + SHARD, len(self.worlds)))
