@@ -224,4 +224,5 @@ def test_every_column_has_a_unit_in_the_file(tmp_path: Path) -> None:
 def test_machine_record() -> None:
     record = machine_record()
     assert record["cores"] >= 1
-    assert set(record) == {"cpu", "cores", "platform", "python", "jax", "numpy", "pymunk"}
+    libraries = {"jax", "numpy", "numba", "pymunk"}
+    assert set(record) == {"cpu", "cores", "platform", "python", *libraries}

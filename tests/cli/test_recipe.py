@@ -1,9 +1,13 @@
 """Recipes: the shipped ones, overrides, the hash, and every kind of bad input."""
 
+from pathlib import Path
+
 import pytest
+from level_files import hover, write_level
 
 from rtc_cli.errors import UsageError
 from rtc_cli.recipe import (
+    EvalConfig,
     Recipe,
     differing_keys,
     find_recipe,
@@ -12,10 +16,21 @@ from rtc_cli.recipe import (
     recipe_to_toml,
 )
 
+LEVELS = (
+    *("car_launch", "cartpole_thrust", "catapult", "catcher_v3", "chain_lander", "grasp_easy"),
+    *("h17_unicycle", "hard_lunar_lander", "mjc_half_cheetah", "mjc_swimmer", "mjc_walker"),
+    "trampoline",
+)
+
+
+def load_shipped(name: str, levels: Path) -> Recipe:
+    """A shipped recipe; `levels` is for the one whose levels are not shipped."""
+    return load_recipe(name, [f"levels={levels}"] if name == "kinetix" else [])
+
 
 @pytest.mark.parametrize("name", list_recipes())
 def test_shipped_recipe_loads_has_a_header_and_survives_writing(name, tmp_path):
-    recipe = load_recipe(name)
+    recipe = load_shipped(name, tmp_path)
     header = find_recipe(name).read_text().split("\n\n")[0]
     assert all(word in header for word in ("What it is", "Command", "Cost", "Expect"))
     file = tmp_path / "resolved.toml"
@@ -24,19 +39,16 @@ def test_shipped_recipe_loads_has_a_header_and_survives_writing(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", list_recipes())
-def test_shipped_recipe_names_things_that_exist(name):
-    from rtc_cli.execution.methods import list_methods
-    from rtc_cli.samplers import list_samplers
-    from rtc_cli.tasks import list_tasks
+def test_shipped_recipe_names_things_that_exist(name, tmp_path):
+    from rtc_cli.pipeline.checks import check_recipe
 
-    recipe = load_recipe(name)
-    assert set(recipe.tasks) <= set(list_tasks())
-    assert set(recipe.eval.methods) <= set(list_methods())
-    assert set(recipe.profile.samplers) <= set(list_samplers())
+    for level in LEVELS:
+        write_level(tmp_path, hover(), level)
+    check_recipe(load_shipped(name, tmp_path))  # tasks, samplers, methods
 
 
 def test_the_expected_recipes_are_shipped():
-    names = {"quickstart", "standard", "paper", "ablations/delay_distribution"}
+    names = {"quickstart", "standard", "kinetix", "paper", "ablations/delay_distribution"}
     assert names <= set(list_recipes())
 
 
@@ -65,6 +77,28 @@ def test_paper_is_the_papers():
         "max_guidance_weight": 5.0,
         "prior_std": 1.0,
     }
+
+
+def test_kinetix_is_the_papers_twelve_levels_wherever_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    recipe = load_recipe("kinetix", ["levels=some/where"])
+    assert recipe.tasks == tuple(f"kinetix:{tmp_path}/some/where/{name}.json" for name in LEVELS)
+    assert recipe == load_recipe("kinetix", [f"levels={tmp_path}/some/where"])
+
+
+@pytest.mark.parametrize("overrides", [[], ["levels="], ["levels=none"], ["levels=3"]])
+def test_recipes_of_levels_say_that_they_need_a_folder(overrides: list[str]) -> None:
+    with pytest.raises(UsageError, match="level files, which are not part of rtc") as caught:
+        load_recipe("kinetix", overrides)
+    assert "--levels FOLDER" in caught.value.hint
+
+
+def test_a_folder_of_levels_is_refused_where_nothing_asks_for_it() -> None:
+    for overrides in (["levels=x"], ["levels=x", "tasks=kinetix:x/one.json"]):
+        with pytest.raises(UsageError, match=r'levels = "x", but no task .* holds "{levels}"'):
+            load_recipe("quickstart", overrides)
 
 
 def test_overrides_take_numbers_words_lists_and_ranges():
@@ -120,6 +154,39 @@ def test_hash_sees_every_value():
     assert base.hash_of("train") == load_recipe("quickstart", ["horizon=9"]).hash_of("train")
 
 
+def test_keys_that_came_later_leave_the_hash_at_their_defaults_as_it_was() -> None:
+    recipe = Recipe(name="x", tasks=("catcher",))
+    # Computed before there were eval.also and the experts' rewards: commit abb348f.
+    assert recipe.hash_of("experts").startswith("b9992be5469b4e47")
+    assert recipe.hash_of("eval").startswith("850109bc2794cd59")
+    own = load_recipe("quickstart").content_hash
+    for same in ("experts.progress_scale=none", "experts.solved_reward=1.0", "eval.also=[]"):
+        assert load_recipe("quickstart", [same]).content_hash == own
+    changes = ["experts.progress_scale=0.3", "experts.by_task.cartpole_thrust.entropy=0.01"]
+    changes += ["eval.also=[{flow_steps=1}]", "eval.also=[{flow_steps=2}]"]
+    others = {load_recipe("quickstart", [change]).content_hash for change in changes}
+    assert len(others - {own}) == len(changes)
+
+
+def test_further_evaluations_differ_where_they_say_so_and_nowhere_else() -> None:
+    entries = "{flow_steps = 1, delays = [0, 4]}, {protocols = ['grid'], methods = ['prefix']}"
+    overrides = ["eval.seed=7", f"eval.also=[{entries}]", "eval.tune.episodes=16"]
+    config = load_recipe("quickstart", overrides).eval
+    one, other = config.further
+    plain = config.model_copy(update={"tune": None, "also": ()})
+    assert one == plain.model_copy(update={"flow_steps": 1, "delays": (0, 4)})
+    assert other == plain.model_copy(update={"protocols": ("grid",), "methods": ("prefix",)})
+    assert EvalConfig().further == ()
+
+
+def test_experts_of_a_task_differ_where_it_says_so() -> None:
+    overrides = ["tasks=catcher,grasp", "experts.gamma=0.9", "experts.by_task.grasp.entropy=0.01"]
+    experts = load_recipe("quickstart", overrides).experts
+    plain = experts.model_copy(update={"by_task": {}})
+    assert experts.of("catcher").model_copy(update={"by_task": {}}) == plain
+    assert experts.of("grasp") == plain.model_copy(update={"entropy": 0.01})
+
+
 def test_recipes_are_frozen():
     recipe = Recipe(name="x", tasks=("a",))
     with pytest.raises(ValueError, match="frozen"):
@@ -156,6 +223,15 @@ def test_recipes_are_frozen():
         ("data.policy_std=-1", ["data.policy_std = -1", "0"]),
         ("eval.action_noise=0.1,-0.1", ["eval.action_noise", "-0.1"]),
         ("eval.action_noise=0.1,0.1", ["eval.action_noise", "once"]),
+        ("eval.also=[{methods=['oracle']}]", ["eval", '"oracle" is read against "naive"']),
+        ("eval.also=[{delays=[3, 1]}]", ["eval", "increasing"]),
+        ("eval.also=[{protocols=['fixed']}]", ["eval", '"fixed"', "fixed:S"]),
+        ("eval.also=[{flow_steps=0}]", ["eval.also.0.flow_steps = 0", "1"]),
+        ("eval.also=[{flow_step=2}]", ['unknown key "eval.also.0.flow_step"']),
+        ("eval.also=[{episodes=2}]", ['unknown key "eval.also.0.episodes"']),
+        ("experts.progress_scale=-1", ["experts.progress_scale = -1", "0"]),
+        ("experts.by_task.graps.entropy=0.1", ['experts.by_task: "graps" is no task']),
+        ("experts.by_task.cartpole_thrust.target_success=0.1", ["min_success 0.65", "0.1"]),
     ],
 )
 def test_bad_values_are_named(override, words):

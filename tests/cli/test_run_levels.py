@@ -20,9 +20,7 @@ def run(tmp_path: Path) -> Run:
     folder = tmp_path / "levels"
     folder.mkdir()
     write_level(folder, hover(), "one")
-    tasks = (
-        f"tasks=catcher,kinetix:{folder}/one.json,kinetix:{folder}/one.json@symbolic"
-    )
+    tasks = f"tasks=catcher,kinetix:{folder}/one.json,kinetix:{folder}/one.json@symbolic"
     return create_run(load_recipe("quickstart", [tasks]), tmp_path / "run")
 
 

@@ -15,9 +15,9 @@ def _run(recipe: Recipe) -> Run:
     return Run(Path("nowhere"), recipe, {})
 
 
-@pytest.mark.parametrize("name", ["quickstart", "standard", "paper"])
+@pytest.mark.parametrize("name", ["quickstart", "standard", "kinetix", "paper"])
 def test_every_need_is_an_earlier_job_and_names_are_unique(name: str) -> None:
-    recipe = load_recipe(name)
+    recipe = load_recipe(name, ["levels=nowhere"] if name == "kinetix" else [])
     jobs = run_plan(_run(recipe))
     names = [job.name for job in jobs]
     assert len(set(names)) == len(names)
@@ -55,3 +55,20 @@ def test_tuning_uses_a_seed_that_is_not_evaluated() -> None:
     assert recipe.eval.tune is not None
     evaluated = [job.name for job in eval_plan(_run(recipe), recipe.eval, recipe.tasks)]
     assert not any(f"seed {recipe.eval.tune.train_seed}" in name for name in evaluated)
+
+
+def test_further_evaluations_are_jobs_of_their_own() -> None:
+    entries = "{flow_steps = 1}, {flow_steps = 2, methods = ['prefix']}"
+    recipe = load_recipe("quickstart", [f"eval.also=[{entries}]", "eval.tune=none"])
+    jobs = run_plan(_run(recipe))
+    names = [job.name for job in jobs]
+    assert len(set(names)) == len(names)
+    (task,), (seed,) = recipe.tasks, recipe.train.seeds
+    of_prefix = f"evaluate prefix · {task} · seed {seed}"
+    further = [job for job in jobs if "also" in job.name]
+    usual = [name for name in names if name.startswith("evaluate ") and "also" not in name]
+    assert [job.name for job in further] == [
+        *(f"{name} · also 1" for name in usual),
+        f"{of_prefix} · also 2",
+    ]
+    assert further[-1].needs == jobs[names.index(of_prefix)].needs  # the trained policy alone

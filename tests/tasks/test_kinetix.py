@@ -1,199 +1,197 @@
-"""Kinetix levels as scenes: a small one of our own, and the originals where they are at hand."""
+"""Kinetix levels as scenes: a small one of our own, and the paper's where they are at hand."""
 
 from __future__ import annotations
 
-import math
-import os
+import itertools
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from level_files import ARM_KG, HULL_KG, TIP_KG, hover, write_level
+from golden_levels import PAPER_LEVELS, paper_folder
+from level_files import Content, hover, write_level
 
 from rtc_cli.errors import UsageError
-from rtc_cli.levels import expand, short_name
+from rtc_cli.levels import Observation, expand, short_name
 from rtc_cli.tasks import get_task
 from rtc_cli.tasks.batch import WorldBatch
-from rtc_cli.tasks.kinetix import load_level
+from rtc_cli.tasks.kinetix import LevelScene, load_level
 from rtc_cli.tasks.render import draw_world
-from rtc_cli.tasks.scene import Fixed, Pivot, Role, Scene, Status, TanhMotor, Weighed
-
-FOLDER = os.environ.get("RTC_KINETIX_LEVELS", "")
-ORIGINALS = (
-    "cartpole_thrust",
-    "catcher_v3",
-    "grasp_easy",
-    "hard_lunar_lander",
-    "mjc_walker",
-    "trampoline",
-)
+from rtc_cli.tasks.scene import Fixed, Motor, Pivot, Role, Status
 
 
 @pytest.fixture
-def level(tmp_path: Path) -> Scene:
+def level(tmp_path: Path) -> LevelScene:
     return load_level(write_level(tmp_path, hover()))
 
 
-@pytest.fixture(params=["hover", *ORIGINALS])
-def any_level(request: pytest.FixtureRequest, tmp_path: Path) -> Scene:
-    """Our own level, and each original."""
-    if request.param == "hover":
-        return load_level(write_level(tmp_path, hover()))
-    if not FOLDER:
-        pytest.skip("RTC_KINETIX_LEVELS does not name a folder with the original level files")
-    return get_task(f"kinetix:{FOLDER}/{request.param}.json")
+@pytest.fixture
+def symbolic(tmp_path: Path) -> LevelScene:
+    return load_level(write_level(tmp_path, hover()), "symbolic")
 
 
-def run(scene: Scene, actions: np.ndarray, engine: str = "auto") -> tuple[np.ndarray, ...]:
-    """States, statuses and observations after open-loop actions (n, T, A)."""
-    with WorldBatch(scene, len(actions), engine=engine) as worlds:  # type: ignore[arg-type]
-        worlds.reset(np.arange(len(actions)))
-        for first in range(0, actions.shape[1], 8):
-            record = worlds.step(actions[:, first : first + 8])
-        assert worlds.invalid_count == 0
-        return worlds.states, record.status, record.obs
+def crowd() -> Content:
+    """Two goal objects, hull and arm, and two targets, of which one moves."""
+    content = hover()
+    content["env_state"]["polygon"][2]["role"] = 1
+    content["env_state"]["circle"][0]["role"] = 2
+    return content
 
 
-def extreme(scene: Scene, n: int, ticks: int) -> np.ndarray:
+OWN = {"hover": hover, "crowd": crowd}
+
+
+@pytest.fixture(params=[*OWN, *PAPER_LEVELS])
+def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Our own levels, and each of the paper's."""
+    if request.param in OWN:
+        return write_level(tmp_path, OWN[request.param]())
+    return paper_folder() / f"{request.param}.json"
+
+
+def extreme(scene: LevelScene, n: int, ticks: int) -> np.ndarray:
     """Actions at the ends of their ranges, chosen at random."""
     ends = np.random.default_rng(7).random((n, ticks, scene.action_dim)) < 0.5
-    return np.where(ends, scene.action_low, scene.action_high).astype(np.float32)
+    return np.where(ends, scene.action_low, scene.action_high)
 
 
-def test_bodies_have_the_files_places_roles_and_masses(level: Scene) -> None:
+def test_bodies_have_the_files_places_roles_and_outlines(level: LevelScene) -> None:
     bodies = {body.name: body for body in level.bodies}
     assert list(bodies) == ["polygon0", "polygon1", "polygon2", "circle0", "circle1"]
     assert [body.static for body in level.bodies] == [True, False, False, False, True]
     roles = [body.shapes[0].role for body in level.bodies]
     assert roles == [Role.HAZARD, Role.GOAL, Role.NONE, Role.NONE, Role.TARGET]
     assert bodies["polygon1"].position == (2.0, 2.0)
-    masses = [b.mass for b in level.bodies if isinstance(b, Weighed)]
-    np.testing.assert_allclose(masses, [HULL_KG, ARM_KG, TIP_KG])
     assert bodies["polygon1"].shapes[0].area == pytest.approx(0.4 * 0.2)  # anticlockwise again
 
 
-def test_joints_motors_and_thrusters_follow_the_laws_of_the_file(level: Scene) -> None:
+def test_joints_motors_and_thrusters_follow_the_laws_of_the_file(level: LevelScene) -> None:
     hinge, weld = level.joints
     assert isinstance(hinge, Pivot)
     assert isinstance(weld, Fixed)
     assert (hinge.a, hinge.b, hinge.anchor) == ("polygon1", "polygon2", (2.0, 1.9))
-    assert hinge.limits == (-1.0, 1.0)
-    wanted = TanhMotor(
-        a="polygon1", b="polygon2", action="motor2", max_rate=6.0, gain=900.0, limits=(-1.0, 1.0)
-    )
-    assert level.motors == (wanted,)
+    motor = Motor(a="polygon1", b="polygon2", action="motor2", max_rate=6.0, max_torque=900.0)
+    assert level.motors == (motor,)
     assert [t.max_force for t in level.thrusters] == pytest.approx([1.5, 1.5])
     np.testing.assert_allclose([t.direction for t in level.thrusters], [[0, 1]] * 2, atol=1e-12)
 
 
-def test_only_bindings_that_do_something_are_actions(level: Scene) -> None:
+def test_only_bindings_that_do_something_are_actions(level: LevelScene) -> None:
     names = [(action.name, action.low, action.high) for action in level.actions]
     assert names == [("motor2", -1.0, 1.0), ("thruster0", 0.0, 1.0), ("thruster1", 0.0, 1.0)]
 
 
-def test_who_touches_whom_follows_joints_and_collision_modes(tmp_path: Path) -> None:
+def unbound(content: Content) -> None:
+    """Two thrusters of one binding, a motor that turns nothing, and one that is off."""
+    state = content["env_state"]
+    state["thruster"][1]["thruster_binding"] = 0
+    state["joint"][0]["motor_on"] = False
+    between_walls = {"active": True, "a_index": 0, "b_index": 5, "motor_on": True}
+    state["joint"][2] |= between_walls
+
+
+def test_bindings_that_do_nothing_are_left_out(tmp_path: Path) -> None:
     content = hover()
-    content["env_state"]["polygon"][2]["collision_mode"] = 0
-    shapes = [body.shapes[0] for body in load_level(write_level(tmp_path, content)).bodies]
-    names = ["floor", "hull", "arm", "tip", "target"]
-    touching = {
-        (names[i], names[k])
-        for i, one in enumerate(shapes)
-        for k, other in enumerate(shapes[:i])
-        if one.category & other.mask and other.category & one.mask
-    }
-    assert touching == {
-        ("hull", "floor"),
-        ("arm", "floor"),  # mode 2 meets mode 0
-        ("tip", "floor"),
-        ("target", "floor"),
-        ("target", "hull"),
-        ("target", "tip"),
-    }
-
-
-def test_friction_of_a_contact_is_the_originals(level: Scene) -> None:
-    one, other = level.bodies[0].shapes[0], level.bodies[1].shapes[0]
-    assert one.friction * other.friction == pytest.approx(math.hypot(0.4, 0.4))
-
-
-def test_limits_count_from_the_joints_rotation(tmp_path: Path) -> None:
-    content = hover()
-    hinge = content["env_state"]["joint"][0]
-    hinge |= {"a_index": 5, "b_index": 2, "rotation": -0.5}
-    content["env_state"]["circle"][1] |= {"rotation": 0.5, "position": {"0": 2.0, "1": 2.0}}
-    hinge["a_relative_pos"] = {"0": 0.0, "1": 0.0}
+    unbound(content)
     level = load_level(write_level(tmp_path, content))
-    # What never moves has angle 0 in the physics, though it is declared at 0.5 rad.
-    assert level.joints[0].limits == pytest.approx((-1.0, 1.0))  # type: ignore[union-attr]
+    assert [action.name for action in level.actions] == ["thruster0"]
 
 
-def test_open_joints_are_closed_before_the_start(tmp_path: Path) -> None:
-    content = hover()
-    content["env_state"]["joint"][0]["b_relative_pos"]["1"] = 0.25  # 0.1 m beyond the hull's end
-    level = load_level(write_level(tmp_path, content))
-    hull, arm = level.bodies[1].position[1], level.bodies[2].position[1]
-    assert hull - 0.1 == pytest.approx(arm + 0.25)
-    # Shifts share out by mass, so the common centre of gravity stays.
-    masses, ys = [HULL_KG, ARM_KG, TIP_KG], [body.position[1] for body in level.bodies[1:4]]
-    assert np.dot(masses, ys) == pytest.approx(np.dot(masses, [2.0, 1.75, 1.6]))
+def test_thrust_up_solves_it_and_doing_nothing_fails(level: LevelScene) -> None:
+    up = np.tile([0.0, 1.0, 1.0], (4, 64, 1))
+    with WorldBatch(level, 4) as worlds:
+        for actions, status in ((up, Status.SOLVED), (0.0 * up, Status.FAILED)):
+            worlds.reset(range(4))
+            assert (worlds.step(actions).status == status).all()
 
 
-def test_thrust_up_solves_it_and_doing_nothing_fails(level: Scene) -> None:
-    up = np.tile(np.array([0.0, 1.0, 1.0], np.float32), (4, 64, 1))
-    still = np.zeros_like(up)
-    assert (run(level, up)[1] == Status.SOLVED).all()
-    assert (run(level, still)[1] == Status.FAILED).all()
-
-
-def test_observations_are_the_state_of_what_moves(level: Scene) -> None:
+def test_compact_observations_are_the_state_of_what_moves(level: LevelScene) -> None:
     with WorldBatch(level, 1) as worlds:
         obs = worlds.reset([3])[0]
     assert level.obs_dim == 3 * 7
     names = [component.name for component in level.components[:7]]
     assert names[0] == "polygon1.position.x"
     np.testing.assert_allclose(obs[:7], [-0.2, -0.2, 0, 0, 1, 0, 0], atol=1e-6)
-    assert level.progress(obs[None])[0] == pytest.approx(-1.0)  # hull (2, 2), target (2, 3)
 
 
-def test_physical_contract(any_level: Scene) -> None:
-    scene = any_level
-    assert (scene.control_hz, scene.max_ticks) == (30.0, 256)
-    actions = extreme(scene, 8, 64)
-    states, status, obs = run(scene, actions)
-    assert obs.shape == (8, scene.obs_dim)
-    assert obs.dtype == np.float32
-    assert np.isfinite(obs).all()
-    assert np.isfinite(states).all()
-    assert np.abs(states[:, :, 2:4]).max() <= scene.max_speed
-    again = run(scene, actions)
-    public = run(scene, actions, "public")
-    for one, other, third in zip((states, status, obs), again, public, strict=True):
-        np.testing.assert_array_equal(one, other)
-        np.testing.assert_array_equal(one, third)
+def test_symbolic_observations_are_rows_of_all_that_the_lists_hold(symbolic: LevelScene) -> None:
+    with WorldBatch(symbolic, 1) as worlds:
+        obs = worlds.reset([3])[0]
+    # 7 shapes; a joint names two of them, a thruster one.
+    assert symbolic.obs_dim == len(obs) == 4 * 26 + 3 * 18 + 3 * (22 + 2 * 7) + 2 * (8 + 7) + 1
+    named = {c.name: float(x) for c, x in zip(symbolic.components, obs, strict=True)}
+    assert len(named) == symbolic.obs_dim
+    for name, value in {
+        "polygon1.x": 2.0,
+        "polygon1.inverse mass": 10.0,  # 12.5, but nothing is above 10
+        "polygon1.vertex 0 x": 0.2,
+        "polygon0.role 3": 1.0,
+        "circle1.y": 3.0,
+        "circle1.radius": 0.2,
+        "circle1.circle": 1.0,
+        "joint0.a is shape 1": 1.0,
+        "joint0.b is shape 2": 1.0,
+        "joint0.motor binding 2": 1.0,
+        "joint0.lower": -1.0,
+        "joint1.fixed": 1.0,
+        "joint1.motor power": 0.0,  # of a weld nothing is told
+        "thruster1.x": 0.15,
+        "thruster1.on shape 1": 1.0,
+        "gravity.y / 10": -0.981,
+    }.items():
+        assert named[name] == pytest.approx(value), name
+    unused = ("polygon3.", "circle2.", "joint2.")
+    assert not any(value for name, value in named.items() if name.startswith(unused))
 
 
-def test_joints_hold_under_extreme_actions(any_level: Scene) -> None:
-    """Where a joint's two ends are apart after two seconds, the level has come to pieces."""
-    scene = any_level
-    states, _, _ = run(scene, extreme(scene, 4, 60))
-
-    def end(world: int, name: str, anchor: tuple[float, float]) -> np.ndarray:
-        body, now = scene.bodies[scene.body_index[name]], states[world, scene.body_index[name]]
-        arm = np.array(anchor) - np.array(body.position)
-        turn = now[4] - body.angle
-        c, s = math.cos(turn), math.sin(turn)
-        return now[:2] + np.array([c * arm[0] - s * arm[1], s * arm[0] + c * arm[1]])
-
-    for joint in scene.joints:
-        assert isinstance(joint, Pivot | Fixed)
-        for world in range(4):
-            gap = end(world, joint.a, joint.anchor) - end(world, joint.b, joint.anchor)
-            assert np.hypot(*gap) < 0.1, joint
+@pytest.mark.parametrize("observation", ["compact", "symbolic"])
+def test_progress_is_minus_the_distance(path: Path, observation: Observation) -> None:
+    scene = load_level(path, observation)
+    roles = [body.shapes[0].role for body in scene.bodies]
+    goals = [i for i, role in enumerate(roles) if role == Role.GOAL]
+    targets = [i for i, role in enumerate(roles) if role == Role.TARGET]
+    with WorldBatch(scene, 4) as worlds:
+        obs = worlds.reset(range(4))
+        for _ in range(3):
+            places = worlds.states[:, :, :2]
+            ways = [places[:, i] - places[:, k] for i, k in itertools.product(goals, targets)]
+            distance = np.linalg.norm(ways, axis=2).sum(axis=0)
+            np.testing.assert_allclose(scene.progress(obs), -distance, atol=1e-5)
+            obs = worlds.step(extreme(scene, 4, 5)).obs
 
 
-def test_levels_can_be_drawn_in_their_arena(any_level: Scene) -> None:
-    picture = draw_world(any_level, any_level.declared_states, any_level.action_high, width=200)
+def test_what_the_symbolic_observation_hides_cannot_be_rewarded(tmp_path: Path) -> None:
+    content = hover()
+    content["static_env_params"]["num_static_fixated_polys"] = 4  # the hull is one of the walls
+    scene = load_level(write_level(tmp_path, content), "symbolic")
+    assert not any(c.name.startswith("polygon1.") for c in scene.components)
+    with pytest.raises(UsageError, match="polygon1 is not in the symbolic observation"):
+        scene.progress(np.zeros((1, scene.obs_dim)))
+
+
+@pytest.mark.parametrize("observation", ["compact", "symbolic"])
+def test_physical_contract(path: Path, observation: Observation) -> None:
+    scene = load_level(path, observation)
+    assert (scene.control_hz, scene.max_ticks, scene.action_noise) == (30.0, 256, 0.1)
+    assert scene.action_low.shape == (scene.action_dim,)
+    assert len(scene.components) == scene.obs_dim
+    with WorldBatch(scene, 8) as worlds:
+        first = worlds.reset(range(8))
+        record = worlds.step(extreme(scene, 8, 64))
+        assert worlds.invalid_count == 0
+        assert np.isfinite(worlds.states).all()
+    low, high = np.array([(c.low, c.high) for c in scene.components]).T
+    for obs in (first, record.obs):
+        assert obs.shape == (8, scene.obs_dim)
+        assert obs.dtype == np.float32
+        assert (low <= obs).all()
+        assert (obs <= high).all()
+
+
+def test_levels_can_be_drawn_in_their_arena(path: Path) -> None:
+    scene = load_level(path)
+    picture = draw_world(scene, scene.declared_states, scene.action_high, width=200)
     assert picture.size == (200, 200)
     assert len(picture.getcolors(1 << 16)) > 10
 
@@ -201,12 +199,37 @@ def test_levels_can_be_drawn_in_their_arena(any_level: Scene) -> None:
 def test_get_task_takes_paths_and_refuses_folders_of_several(tmp_path: Path) -> None:
     write_level(tmp_path, hover())
     assert get_task(f"kinetix:{tmp_path}").name == "kinetix-hover"
-    assert get_task(f"kinetix:{tmp_path}/hover.json").description.startswith(
-        'Kinetix level "hover", pymunk port'
-    )
+    scene = get_task(f"kinetix:{tmp_path}/hover.json")
+    assert scene.goal == 'Kinetix level "hover": bring polygon1 to circle1.'
     write_level(tmp_path, hover(), "other")
     with pytest.raises(UsageError, match="2 levels: kinetix-hover, kinetix-other"):
         get_task(f"kinetix:{tmp_path}")
+
+
+def test_the_name_says_how_a_level_is_observed(tmp_path: Path) -> None:
+    write_level(tmp_path, hover())
+    name = f"kinetix:{tmp_path}/hover.json"
+    both = (name, f"{name}@symbolic")
+    compact, symbolic = map(get_task, both)
+    assert get_task(f"{name}@compact") == compact
+    assert (compact.name, symbolic.name) == ("kinetix-hover", "kinetix-hover-symbolic")
+    assert compact.obs_dim != symbolic.obs_dim
+    assert compact.digest != symbolic.digest
+    assert expand([f"kinetix:{tmp_path}@symbolic"]) == both[1:]
+    assert expand(both) == both  # a run may have a level under both names
+    with pytest.raises(UsageError, match=r'observation.*Did you mean "symbolic"'):
+        get_task(f"{name}@symbolc")
+
+
+@pytest.mark.parametrize("place", ["me@home/hover.json", "hover@symbolic.json", "Hover.JSON"])
+def test_paths_may_hold_what_names_are_made_of(place: str, tmp_path: Path) -> None:
+    path = tmp_path / place
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(write_level(tmp_path, hover()).read_text())
+    for end, observation in (("", "compact"), ("@symbolic", "symbolic")):
+        scene = get_task(f"kinetix:{path}{end}")
+        assert isinstance(scene, LevelScene)
+        assert (scene.observation, scene.level.path) == (observation, path)
 
 
 def test_names_are_absolute_expanded_and_unique(
@@ -229,9 +252,35 @@ def test_names_are_absolute_expanded_and_unique(
         expand(["kinetix:a", "kinetix:b/one.json"])
 
 
-def test_the_digest_follows_the_content(tmp_path: Path) -> None:
+def heavier(content: Content) -> None:
+    content["env_state"]["polygon"][2]["inverse_mass"] *= 0.99
+
+
+def smoother(content: Content) -> None:
+    content["env_params"]["base_friction"] = 0.3
+
+
+def longer_lists(content: Content) -> None:
+    content["env_state"]["circle"].append(content["env_state"]["circle"][2])
+    content["static_env_params"]["num_circles"] += 1
+
+
+def without_effect(content: Content) -> None:
+    content["env_state"]["gravity"]["1"] = -1.2
+    content["env_params"]["max_timesteps"] = 100
+    content["env_state"]["joint"][0]["global_position"] = {"0": 1.0, "1": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("change", "matters"),
+    [(heavier, True), (smoother, True), (longer_lists, True), (without_effect, False)],
+)
+def test_the_digest_follows_what_an_episode_depends_on(
+    change: Callable[[Content], Any], matters: bool, tmp_path: Path
+) -> None:
     content = hover()
-    first = load_level(write_level(tmp_path, content)).digest
-    assert load_level(write_level(tmp_path, content)).digest == first
-    content["env_state"]["polygon"][2]["inverse_mass"] *= 1.01
-    assert load_level(write_level(tmp_path, content)).digest != first
+    first = load_level(write_level(tmp_path, content))
+    change(content)
+    (tmp_path / "moved").mkdir()
+    second = load_level(write_level(tmp_path / "moved", content))
+    assert (first.digest != second.digest) == matters
