@@ -7,8 +7,8 @@ level runs in both under the same random actions (each value held for 8 control 
 without noise. Agreement: the largest difference of any moving shape's place, over sequences that
 have not ended; the kind of end; those with ends apart. Speed: control steps a second of chunks of
 8, both on one core, one after the other in every round; medians over rounds, and of the ratios
-within a round. Kinetix steps all worlds of a batch to the end of the chunk, ours only those whose
-episode still runs: both are counted by the steps that they execute.
+within a round. Worlds of ours whose episode has ended begin another, resets included; Kinetix' step on
+(without its own resets): 64 worlds run in both.
 """
 
 from __future__ import annotations
@@ -66,12 +66,16 @@ class Ours:
         return {"places": places, "kind": record.status, "tick": ends}
 
     def time(self, actions: np.ndarray) -> float:
-        """Control steps a second over whole episodes."""
+        """Control steps a second; a world whose episode has ended begins another."""
         self.worlds.reset(range(WORLDS))
-        start, steps = time.perf_counter(), 0
+        start, steps, seed = time.perf_counter(), 0, WORLDS
         for first in range(0, TICKS, CHUNK):
             record = self.worlds.step(actions[:, first : first + CHUNK, self.columns])
             steps += int(record.ticks.sum())
+            ended = np.flatnonzero(record.status != 0)
+            if len(ended):
+                self.worlds.reset(range(seed, seed + len(ended)), worlds=ended)
+                seed += len(ended)
         return steps / (time.perf_counter() - start)
 
 

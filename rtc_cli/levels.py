@@ -58,7 +58,10 @@ def _split(task: str) -> tuple[str, Observation]:
         if found and kind == known:
             return path, known
     if path.lower().endswith(SUFFIX) and kind.isalpha():
-        raise UsageError(f'"{task}": observation' + did_you_mean(kind, get_args(Observation)))
+        known_kinds = did_you_mean(kind, get_args(Observation))
+        raise UsageError(
+            f'"{task}": unknown observation "{kind}".{known_kinds}', "write PATH@symbolic, or PATH"
+        )
     return whole, "compact"
 
 

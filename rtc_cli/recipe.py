@@ -475,7 +475,9 @@ class Recipe(Section):
         names = [short_name(task) for task in self.tasks]
         for task in self.experts.by_task:
             if task not in names:
-                raise ValueError(f'experts.by_task: "{task}" is no task{did_you_mean(task, names)}')
+                raise ValueError(
+                    f'experts.by_task: "{task}" is no task.{did_you_mean(task, names)}'
+                )
         return self
 
     @model_validator(mode="after")
@@ -767,6 +769,10 @@ def _annotation_at(parts: list[str]) -> Any:
     annotation: Any = Recipe
     for part in parts:
         alternatives = _alternatives(annotation)
+        if part.isdigit():  # a place in a list of sections
+            lists = [a for a in alternatives if get_origin(a) is tuple]
+            annotation = get_args(lists[0])[0] if lists else None
+            continue
         model = next(filter(_is_section, alternatives), None)
         mapping = next((a for a in alternatives if get_origin(a) is dict), None)
         if model is not None and part in model.model_fields:

@@ -24,6 +24,12 @@ def check_recipe(recipe: Recipe) -> None:
                 f'unknown sampler "{sampler}".{did_you_mean(sampler, list_samplers())}'
             )
     check_evaluation(recipe.eval, recipe.horizon)
+    evaluations = (recipe.eval, *recipe.eval.further)
+    if recipe.eval.tune is None and any(TUNED in each.methods for each in evaluations):
+        raise UsageError(
+            f'method "{TUNED}" is evaluated, but nothing tunes it',
+            "give the recipe an [eval.tune] section",
+        )
     for combination in combinations(recipe):
         check_recipe(combination.recipe)
 

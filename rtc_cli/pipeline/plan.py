@@ -45,20 +45,30 @@ def seed_plan(run: Run, seed: int) -> list[Job]:
     return [
         *_training(run, seed),
         *(_diversity(run, seed) if first else ()),
-        *eval_plan(run, recipe.eval, recipe.tasks, (seed,)),
-        *_further(run, seed),
+        *_evaluations(run, seed),
         *charged_plan(run, charged_by(recipe.eval, recipe.horizon), recipe.tasks, (seed,)),
         *(_tuning(run) if first else ()),
     ]
 
 
-def _further(run: Run, seed: int) -> list[Job]:
-    """Return the jobs of `eval.also`, each named after its place in the list."""
-    return [
-        dataclasses.replace(job, name=f"{job.name} · also {i}")
-        for i, config in enumerate(run.recipe.eval.further, start=1)
-        for job in eval_plan(run, config, run.recipe.tasks, (seed,))
-    ]
+def _evaluations(run: Run, seed: int) -> list[Job]:
+    """Return the jobs of `[eval]` and of `eval.also`, these named after their place in the list.
+
+    Each comes after the same method's earlier ones: they may share a cell, which is then computed
+    once.
+    """
+    jobs = eval_plan(run, run.recipe.eval, run.recipe.tasks, (seed,))
+    for i, config in enumerate(run.recipe.eval.further, start=1):
+        known = {job.name for job in jobs}
+        for job in eval_plan(run, config, run.recipe.tasks, (seed,)):
+            earlier = [job.name, *(_also(job.name, k) for k in range(1, i))]
+            needs = (*job.needs, *(name for name in earlier if name in known))
+            jobs.append(dataclasses.replace(job, name=_also(job.name, i), needs=needs))
+    return jobs
+
+
+def _also(name: str, place: int) -> str:
+    return f"{name} · also {place}"
 
 
 def train_plan(run: Run) -> list[Job]:

@@ -227,7 +227,7 @@ def test_recipes_are_frozen():
         ("eval.also=[{delays=[3, 1]}]", ["eval", "increasing"]),
         ("eval.also=[{protocols=['fixed']}]", ["eval", '"fixed"', "fixed:S"]),
         ("eval.also=[{flow_steps=0}]", ["eval.also.0.flow_steps = 0", "1"]),
-        ("eval.also=[{flow_step=2}]", ['unknown key "eval.also.0.flow_step"']),
+        ("eval.also=[{flow_step=2}]", ['unknown key "eval.also.0.flow_step"', "flow_steps"]),
         ("eval.also=[{episodes=2}]", ['unknown key "eval.also.0.episodes"']),
         ("experts.progress_scale=-1", ["experts.progress_scale = -1", "0"]),
         ("experts.by_task.graps.entropy=0.1", ['experts.by_task: "graps" is no task']),

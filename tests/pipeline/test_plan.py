@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from rtc_cli.errors import UsageError
+from rtc_cli.pipeline.checks import check_recipe
 from rtc_cli.pipeline.plan import ablation_plan, eval_plan, run_plan, train_plan
 from rtc_cli.recipe import Recipe, load_recipe
 from rtc_cli.runs import Run
@@ -71,4 +73,12 @@ def test_further_evaluations_are_jobs_of_their_own() -> None:
         *(f"{name} · also 1" for name in usual),
         f"{of_prefix} · also 2",
     ]
-    assert further[-1].needs == jobs[names.index(of_prefix)].needs  # the trained policy alone
+    # The trained policy, and the same method's earlier evaluations, which may share cells.
+    trained = jobs[names.index(of_prefix)].needs
+    assert further[-1].needs == (*trained, of_prefix, f"{of_prefix} · also 1")
+
+
+def test_tuned_guidance_needs_something_that_tunes_it() -> None:
+    for change in ("eval.methods=naive,pinv-tuned", "eval.also=[{methods=['pinv-tuned']}]"):
+        with pytest.raises(UsageError, match="nothing tunes it"):
+            check_recipe(load_recipe("quickstart", [change, "eval.tune=none"]))

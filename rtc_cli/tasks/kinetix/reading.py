@@ -7,7 +7,6 @@ the polygons first, then the circles. Units: metres, seconds, radians; y points 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -349,24 +348,13 @@ def _vertices(node: Node) -> tuple[Vec, ...]:
     ]
     if all(turn > 0 for turn in turns):
         listed.refuse("vertices go clockwise; these go anticlockwise")
-    # Once round: an outline that turns the same way throughout may still wind twice (a star).
-    if not all(turn < -1e-9 for turn in turns) or abs(_winding(points) + 1.0) > 0.5:
+    if not all(turn < -1e-9 for turn in turns):  # four corners cannot wind round twice
         listed.refuse("the corners of a convex polygon with some area are needed")
     return points
 
 
 def _cross(a: Vec, b: Vec, c: Vec) -> float:
     return (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
-
-
-def _winding(points: tuple[Vec, ...]) -> float:
-    """How often the outline turns round, anticlockwise."""
-    edges = [
-        (b[0] - a[0], b[1] - a[1]) for a, b in zip(points, points[1:] + points[:1], strict=True)
-    ]
-    angles = [math.atan2(y, x) for x, y in edges]
-    turns = [b - a for a, b in zip(angles, angles[1:] + angles[:1], strict=True)]
-    return sum(math.remainder(turn, 2 * math.pi) for turn in turns) / (2 * math.pi)
 
 
 def _joint(node: Node, index: int, known: set[int]) -> LevelJoint:

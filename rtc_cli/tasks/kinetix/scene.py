@@ -96,10 +96,10 @@ class LevelScene(Scene):
 
     def _places(self, obs: StateArray, body: int) -> StateArray:
         """Places (n or 1, 2) of a body that observations tell."""
-        if self.observation == "symbolic":
-            return obs[:, self._symbolic.place_columns(body)]
         if self.bodies[body].static:
             return self.declared_states[body : body + 1, :2]
+        if self.observation == "symbolic":
+            return obs[:, self._symbolic.place_columns(body)]
         columns = self.columns(f"{self.bodies[body].name}.position")
         return obs[:, columns] * self._scales[columns] + self._offsets[columns]
 
