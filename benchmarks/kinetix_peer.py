@@ -7,8 +7,8 @@ level runs in both under the same random actions (each value held for 8 control 
 without noise. Agreement: the largest difference of any moving shape's place, over sequences that
 have not ended; the kind of end; those with ends apart. Speed: control steps a second of chunks of
 8, both on one core, one after the other in every round; medians over rounds, and of the ratios
-within a round. Worlds of ours whose episode has ended begin another, resets included; Kinetix' step on
-(without its own resets): 64 worlds run in both.
+within a round. Worlds of ours whose episode has ended begin another, resets included; Kinetix' step
+on (without its own resets): 64 worlds run in both.
 """
 
 from __future__ import annotations
