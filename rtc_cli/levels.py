@@ -99,13 +99,12 @@ def expand(tasks: Iterable[str]) -> tuple[str, ...]:
 def _expanded(task: str) -> list[str]:
     if task == PREFIX:
         raise UsageError(f'"{task}" names no level', "write kinetix:PATH_OR_FOLDER")
-    path, observation = Path(os.path.normpath(level_path(task).absolute())), _split(task)[1]
-    end = "" if observation == "compact" else f"{OPTION}{observation}"
+    path = Path(os.path.normpath(level_path(task).absolute()))
     if not path.is_dir():
-        return [f"{PREFIX}{path}{end}"]
+        return [moved_level(task, path)]
     files = sorted(file for file in path.iterdir() if file.suffix.lower() == SUFFIX)
     if not files:
         raise UsageError(
             f"{path} holds no level files (*{SUFFIX})", "name a level file or another folder"
         )
-    return [f"{PREFIX}{file}{end}" for file in files]
+    return [moved_level(task, file) for file in files]

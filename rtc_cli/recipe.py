@@ -37,6 +37,7 @@ Count = Annotated[int, Field(ge=0)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Correlation = Annotated[float, Field(ge=0, lt=1)]
 Measured = Annotated[tuple[NonNegativeFloat, ...], Field(min_length=1)]
 
 
@@ -122,7 +123,7 @@ class ExpertChanges(Section):
     progress_scale: NonNegativeFloat | None = None
     solved_reward: NonNegativeFloat | None = None
     failure_cost: NonNegativeFloat | None = None
-    noise_correlation: Annotated[float, Field(ge=0, lt=1)] | None = None
+    noise_correlation: Correlation | None = None
 
 
 class ExpertsConfig(Section):
@@ -152,7 +153,7 @@ class ExpertsConfig(Section):
     progress_scale: NonNegativeFloat | None = None
     solved_reward: NonNegativeFloat = 1.0
     failure_cost: NonNegativeFloat = 1.0
-    noise_correlation: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    noise_correlation: Correlation = 0.0
     by_task: dict[str, ExpertChanges] = {}
 
     @model_validator(mode="after")

@@ -15,7 +15,6 @@ dies, however it dies, so the next command takes it over.
 """
 
 import fcntl
-import hashlib
 import json
 import os
 import platform
@@ -36,6 +35,7 @@ from rtc_cli.files import (
     new_folder,
     os_error,
     remove_remains,
+    sha256_file,
     write_bytes,
     write_json,
     write_text,
@@ -91,7 +91,7 @@ class Run:
         if digest is None:
             return task  # a run of an earlier version
         copy = self.folder / LEVELS_NAME / original.name
-        if _digest(copy) != digest:
+        if sha256_file(copy) != digest:
             raise StateError(
                 f"{copy} is damaged: it is not the level that the run was made with",
                 f"restore it (the run was made from {original}), or start a new run",
@@ -155,7 +155,7 @@ def create_run(recipe: Recipe, folder: Path | None = None, *, device: str | None
     now = datetime.now(UTC)
     folder = _free_folder(recipe.name, now) if folder is None else Path(folder)
     levels = {
-        level_path(task): _digest(level_path(task)) for task in recipe.tasks if is_level(task)
+        level_path(task): sha256_file(level_path(task)) for task in recipe.tasks if is_level(task)
     }
     manifest = _manifest(recipe, now, device)
     if levels:
@@ -288,10 +288,6 @@ def _git_commit() -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip() or None if done.returncode == 0 else None
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(_read(path)).hexdigest()
 
 
 def _read(path: Path) -> bytes:

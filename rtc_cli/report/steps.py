@@ -37,7 +37,9 @@ def flow_steps_sections(results: Results) -> list[Section]:
             "knows; more steps give one of them."
         )
     ]
-    delays = {steps: len({row["delay"] for row in _of(mean, steps)}) for steps in several}
+    delays = {
+        steps: len({row["delay"] for row in pick(mean, flow_steps=steps)}) for steps in several
+    }
     most = max(delays.values())
     drawn = [steps for steps in several if most > 1 and delays[steps] == most]
     if drawn:
@@ -79,7 +81,7 @@ def flow_steps_figure(rows: Sequence[Row], several: Sequence[int]) -> Figure:
     figure = new_figure(4.4 * len(several) + 0.6, 3.9)
     panels = figure.subplots(1, len(several), squeeze=False, sharey=True)[0]
     for axes, steps in zip(panels, sorted(several, reverse=True), strict=True):
-        success_panel(axes, _of(rows, steps), title=f"K = {steps}")
+        success_panel(axes, pick(rows, flow_steps=steps), title=f"K = {steps}")
     for axes in panels[1:]:
         axes.set_ylabel("")
     return figure
@@ -115,10 +117,6 @@ def gaps_grid(rows: Sequence[Row]) -> Grid:
 def _gap(row: Row) -> str:
     spread = interval(row["low"], row["high"], sign=True)
     return f"{points(row['difference'], sign=True)} {spread}"
-
-
-def _of(rows: Sequence[Row], steps: int) -> list[Row]:
-    return pick(rows, flow_steps=steps)
 
 
 def _same_cell(row: Row, cell: Row) -> bool:
